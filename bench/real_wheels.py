@@ -30,7 +30,7 @@ from dbc.e2e import protect
 from dbc.frame import MS, SECOND, Frame
 from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
-from gateway.settings.config import BENCH_MOTOR, parse, shipped_dbc
+from gateway.settings.config import BENCH_MOTOR, Config, parse
 
 Array = NDArray[np.float64]
 
@@ -191,14 +191,19 @@ def _drive(
     return out
 
 
-def judge(run: Run, rated_a: float = RATED_A) -> NDArray[np.int64]:
-    """Flags of adhesion (ticks, N), one a tick of 10 ms."""
+def config_of(run: Run) -> Config:
+    """A drive for each wheel, or side."""
     motor = {**BENCH_MOTOR.model_dump(), "J": INERTIA_KG_M2}
     nodes = range(1, run.speed.shape[1] + 1)
-    config = parse({
+    return parse({
         "motor": {"robot": motor}, "drive": [{"node": n, "motor": "robot"} for n in nodes],
     })  # fmt: skip
-    codec = bind(shipped_dbc("traction.dbc"), list(nodes))
+
+
+def judge(run: Run, rated_a: float = RATED_A) -> NDArray[np.int64]:
+    """Flags of adhesion (ticks, N), one a tick of 10 ms."""
+    config = config_of(run)
+    codec = bind(config.dbc_path, config.nodes)
     gateway, waiting, flags, at = Gateway(config, codec, 0), frames(run, codec, rated_a), [], 0
     for tick in range(1, round(run.t_s[-1] * 100.0)):
         now, first = tick * 10 * MS, at

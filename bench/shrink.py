@@ -1,11 +1,12 @@
-"""How small `traction-gateway shrink` makes 30 logs, and how long that takes.
+"""How small `traction-gateway shrink` makes 48 logs, and how long that takes.
 
-    python -m bench.shrink [LOG[:TRAIN.toml] ..]
+    python -m bench.shrink [--data FOLDER | LOG[:TRAIN.toml] ..]
 
 Logs: the golden ones with each of their detectors, storms by seed (classic CAN, CAN FD, wrong
-values), and simulated runs among the traffic of a real car. Of every log one change of a flag is
-drawn, by the log's number: of those to a loss or a fault if there is one. Logs that are given are
-shrunk in place of these.
+values), simulated runs among the traffic of a real car, and recordings of wheels and temperatures.
+With `--data`, a copy of the shared data, three recorded on the buses of cars as well. Of every log
+one change of a flag is drawn, by the log's number: of those to a loss or a fault if there is one.
+Logs that are given are shrunk in place of these.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from itertools import chain
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import numpy as np
 
+from bench.shrink_recordings import Case, cars, recordings
 from dbc.candump.reader import Reader
 from dbc.candump.writer import Writer
 from dbc.codec import bind
@@ -33,11 +34,11 @@ from gateway import cli
 from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
 from gateway.io.prepare import prepare
-from gateway.io.replay import Briefly, open_log, replay
+from gateway.io.replay import Briefly, OneChannel, open_log, replay
 from gateway.logfiles import shrunk_files
 from gateway.logfiles.shrink import Wanted, shrink
 from gateway.reports.record import Changes
-from gateway.settings.config import Config, parse
+from gateway.settings.config import parse
 from tests.golden.test_golden import CASES, HERE
 from tests.storm.campaign import config_of
 from tests.storm.logged import write_storm
@@ -49,14 +50,6 @@ AMONG = ("wet_one", "release", "runaway_sudden")
 TRAFFIC = ROOT / "tests/data/logs/kona_ev_2019_head.log"
 BEFORE_NS = 50 * MS
 BAD = ("AdhesionLost", "Fault")
-
-
-class Case(NamedTuple):
-    """A log and its configuration."""
-
-    name: str
-    path: Path
-    config: Config
 
 
 def goldens() -> Iterator[Case]:
@@ -109,7 +102,8 @@ def drawn(case: Case, number: int) -> Wanted | None:
 
     codec = bind(case.config.dbc_path, case.config.nodes)
     done = replay(
-        open_log(case.path, strict=False).blocks, lambda start: Gateway(case.config, codec, start),
+        OneChannel(open_log(case.path, strict=False).blocks, case.channel),
+        lambda start: Gateway(case.config, codec, start),
         case.config.loop.period_ns, Briefly(lambda _out: None, changed),
     )  # fmt: skip
     later = [change for change in noted.changes if change[0] > done.first_ns]
@@ -124,7 +118,7 @@ def row(case: Case, wanted: Wanted, folder: Path) -> tuple[str, float, float]:
     """Of the table, % of the frames that are left, and s. Raises BadLogError on other bytes."""
     began = time.perf_counter()
     codec = bind(case.config.dbc_path, case.config.nodes)
-    left = shrink(case.path, case.config, codec, wanted, BEFORE_NS)
+    left = shrink(case.path, case.config, codec, wanted, BEFORE_NS, case.channel)
     out = folder / "shrunk"
     shrunk_files.write_test(out, left, wanted, None, case.path)
     shrunk_files.read_back(out, left, case.config, codec)
@@ -151,7 +145,10 @@ def main(words: list[str]) -> int:
     found = []
     with TemporaryDirectory() as name:
         folder = Path(name)
-        cases = given(words) if words else chain(goldens(), storms(folder), among(folder))
+        ours = chain(goldens(), storms(folder), among(folder), recordings(folder))
+        cases = given(words) if words else ours
+        if words[:1] == ["--data"]:
+            cases = chain(ours, cars(Path(words[1]), folder))
         for number, case in enumerate(cases):
             wanted = drawn(case, number)
             if wanted is None:

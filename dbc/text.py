@@ -77,6 +77,21 @@ def without_mark(chunks: Iterable[bytes]) -> Iterator[bytes]:
     yield decoder.decode(b"", final=True).encode("utf-8", "replace")
 
 
+def toml_text(content: bytes) -> str:
+    """The text of a TOML file. Raises TomlError with the cure where it is no UTF-8."""
+    if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        raise TomlError("UTF-16, as some Windows programs save; save it as UTF-8")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        byte = content[error.start]
+        raise TomlError(f"line {line}: byte {byte:#04x} is no UTF-8; save it as UTF-8") from None
+    if "\r" in text and "\n" not in text:
+        raise TomlError("lines end in CR only; save it with LF or CR LF")
+    return text
+
+
 def read_toml(text: str) -> dict[str, Any]:
     """Parse TOML. Raises TomlError only.
 

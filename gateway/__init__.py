@@ -8,7 +8,9 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-_API = ("Config", "ConfigError", "Gateway", "detectors", "replay", "scenario")
+_API = (
+    "Config", "ConfigError", "Evidence", "Gateway", "Opinion", "detectors", "replay", "scenario",
+)  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

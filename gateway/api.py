@@ -5,7 +5,7 @@ Everything else is private and may change without notice.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from html import escape
 from os import PathLike
@@ -16,11 +16,11 @@ import numpy as np
 
 from dbc.codec import Codec, bind
 from dbc.frame import Frame
-from estimators.detect import DETECTORS, WITH_MEMORY
+from estimators.detect import DETECTORS, WITH_MEMORY, Detector, Evidence, Opinion
 from gateway.core import start_record
 from gateway.core.gateway import Gateway
 from gateway.io.prepare import prepare
-from gateway.io.replay import OneChannel, open_log
+from gateway.io.replay import OneChannel, Replayed, Sink, open_log
 from gateway.io.replay import replay as run_log
 from gateway.reports import known
 from gateway.reports.record import (
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     import pandas as pd  # type: ignore[import-untyped]
     import pyarrow as pa
 
+    from gateway.reports.reporting import Facts, Reporting
+
 FilePath = str | PathLike[str]
 
 detectors: Final = (*DETECTORS, *WITH_MEMORY)
@@ -49,9 +51,17 @@ detectors: Final = (*DETECTORS, *WITH_MEMORY)
 class Run:
     """What the gateway said in a run, every tick: tables, and how much of the time it knew."""
 
-    def __init__(self, title: str, config: Config) -> None:
-        """Empty; `add` takes ticks."""
+    verdicts: tuple[Any, ...] = ()
+    """Of a scenario, one for each expectation and drive: text, passed, detail, delay_ms, limit_ms.
+    """
+
+    def __init__(
+        self, title: str, config: Config, codec: Codec, again: Callable[[Reporting], Facts]
+    ) -> None:
+        """Empty; `add` takes ticks. again: the same run, for a report."""
         self.title = title
+        self._codec = codec
+        self._again = again
         self.config = config
         self.frames: list[Frame] = []
         """What the gateway sent."""
@@ -110,6 +120,18 @@ class Run:
         """Flags and estimates side by side, a row for each tick and drive. Needs pandas."""
         return self.flags.to_pandas().merge(self.estimates.to_pandas(), on=["t_s", "drive"])
 
+    def report(self, folder: FilePath) -> Path:
+        """Run once more and write the report that `--results` writes; the path of its HTML.
+
+        Raises ConfigError without matplotlib, OSError.
+        """
+        from gateway.reports.reporting import Reporting, leave
+
+        with Reporting(Path(folder), self.config, self._codec) as kept:
+            facts = self._again(kept)
+        run = kept.run(self.title, facts, verdicts=self.verdicts)
+        return leave(Path(folder), self.title, [run], single=True)
+
     def __repr__(self) -> str:
         """One line."""
         seconds = (self._last_ns - (self._first_ns or 0)) / 1e9
@@ -132,28 +154,43 @@ def replay(
     config: Config | FilePath | None = None,
     *,
     channel: str | None = None,
-    detector: str | None = None,
+    detector: str | Detector | None = None,
     start: FilePath | None = None,
 ) -> Run:
     """The gateway over a recorded log, in any format that `traction-gateway replay` reads.
 
     config: a file, a `Config`, or None for three drives on nodes 1 to 3. channel: of several.
-    start: a start record of `traction-gateway shrink`, from which the gateway goes on.
+    detector: a name of `detectors`, or one of your own: called with an `Evidence`, it returns an
+    `Opinion`. start: a start record of `traction-gateway shrink`, from which the gateway goes on.
     Raises ConfigError or BadLogError, whose text says what to do.
     """
-    used, codec = _prepared(config, detector)
-    run = Run(Path(log).name, used)
-
-    def sink(_now: int, sent: Sequence[Frame], gateway: Gateway) -> None:
-        run.add(gateway, sent)
+    own = None if detector is None or isinstance(detector, str) else detector
+    named = detector if isinstance(detector, str) else None if own is None else "median"
+    used, codec = _prepared(config, named)
 
     def begin_at(first_ns: int) -> Gateway:
-        if start is None:
-            return Gateway(used, codec, first_ns)
-        return start_record.resumed(Path(start).read_bytes(), str(start), used, codec)
+        if start is not None:
+            return start_record.resumed(Path(start).read_bytes(), str(start), used, codec)
+        gateway = Gateway(used, codec, first_ns)
+        if own is not None:
+            gateway.adhesion.detector = own
+        return gateway
 
-    blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel)
-    run_log(blocks, begin_at, used.loop.period_ns, sink)
+    def play(sink: Sink) -> Replayed:
+        blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel)
+        return run_log(blocks, begin_at, used.loop.period_ns, sink)
+
+    def again(kept: Reporting) -> Facts:
+        from gateway.reports.reporting import replay_facts
+
+        def keep(_now: int, _sent: Sequence[Frame], gateway: Gateway) -> None:
+            kept.begin(gateway)
+            kept.add()
+
+        return replay_facts(Path(log), play(keep), kept.trace)
+
+    run = Run(Path(log).name, used, codec, again)
+    play(lambda _now, sent, gateway: run.add(gateway, sent))
     return run
 
 
@@ -175,7 +212,17 @@ class Scenario:
         path = None if config is None else Path(config)
         used, codec = fitting(path, self.scenario)
         scenario = self.scenario if path is None else with_motor_of(used, self.scenario)
-        run = Judged(scenario.title, used)
+
+        def again(kept: Reporting) -> Facts:
+            from gateway.reports.reporting import span_facts
+
+            done = run_virtual(
+                scenario, used, codec, [lambda *_tick: kept.add()], begin=kept.begin,
+                truth=kept.add_truth,
+            )  # fmt: skip
+            return span_facts(kept.trace, done.gateway.inbox.counts["received"])
+
+        run = Judged(scenario.title, used, codec, again)
         outcome = run_virtual(
             scenario, used, codec, [lambda _now, _received, sent, gateway: run.add(gateway, sent)]
         )
@@ -185,9 +232,6 @@ class Scenario:
 
 class Judged(Run):
     """A run with verdicts."""
-
-    verdicts: tuple[Any, ...] = ()
-    """One for each expectation and drive: text, passed, detail, delay_ms, limit_ms."""
 
     @property
     def passed(self) -> bool:
@@ -232,5 +276,7 @@ def _table(names: Sequence[str], columns: Sequence[Column | tuple[object, ...]])
     return pa.table(dict(zip(names, arrays, strict=True)))
 
 
-__all__ = ["Config", "ConfigError", "Gateway", "Judged", "Run", "Scenario", "detectors", "replay",
-           "scenario"]  # fmt: skip
+__all__ = [
+    "Config", "ConfigError", "Evidence", "Gateway", "Judged", "Opinion", "Run", "Scenario",
+    "detectors", "replay", "scenario",
+]  # fmt: skip

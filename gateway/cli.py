@@ -71,6 +71,24 @@ def _module(verb: str) -> Any:
     return importlib.import_module(f"gateway.commands.{verb.replace('-', '_')}")
 
 
+class _Once(argparse.Action):
+    """An option with a value: given twice, it is refused, not overridden."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Store the value, once."""
+        given = vars(namespace).setdefault("_given", set())
+        if option_string is not None and self.dest in given:
+            parser.error(f"argument {option_string}: given twice; give it once")
+        given.add(self.dest)
+        setattr(namespace, self.dest, values)
+
+
 def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentParser:
     """The parser; only the verb in use is imported, so that `--help` stays quick.
 
@@ -87,6 +105,7 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
     for verb in asked:
         text = VERBS[verb]
         sub = verbs.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
+        sub.register("action", None, _Once)
         sub.add_argument(
             "-v", "--verbose", action="count", default=0, help="more messages on stderr"
         )
@@ -187,6 +206,8 @@ def _run_command(words: list[str]) -> int:
         if not _is_users(error):
             raise
         text = " ".join(str(error).split())
+        if isinstance(error, FileExistsError | NotADirectoryError):
+            text = f"{error.filename}: is no folder; name another one"
         text = printable(text, len(text))  # it may quote names of files
         logs.say(text if form == "json" else f"traction-gateway: {text}", form)
         return 2

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Final, NamedTuple
+
+COLUMNS: Final = (
+    "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
+    "cut", "creep", "train_speed_m_s",
+)  # fmt: skip
+"""Of the truth file."""
+GIVEN: Final = 0.95
+"""A drive that makes less of what it is asked for cuts its torque."""
 
 
 class Truth(NamedTuple):
@@ -28,7 +37,10 @@ class Truth(NamedTuple):
 
     `given`: the share of what is asked of the motor that it makes, 0..1: less than all where the
     drive's own slip limiter, or the gateway's flag, cuts its torque. 1 under a preset load. Not in
-    the truth file.
+    the truth file, which has `cut`: 1 where it is less than 0.95.
+
+    `creep`: (wheel - train) / train speed, signed; `train_speed_m_s`. NaN under a preset load,
+    which has no train; empty in the truth file.
     """
 
     t_s: float
@@ -41,6 +53,13 @@ class Truth(NamedTuple):
     true_effect_k: float
     depth: float = 0.0
     given: float = 1.0
+    creep: float = math.nan
+    train_speed_m_s: float = math.nan
+
+    @property
+    def cut(self) -> int:
+        """1 where the drive, or the gateway's flag, cuts its torque."""
+        return int(self.given < GIVEN)
 
     def text(self) -> tuple[str, ...]:
         """Cells of the truth file."""
@@ -53,4 +72,7 @@ class Truth(NamedTuple):
             str(self.lost),
             str(self.fault_class),
             f"{self.true_effect_k:.4f}",
+            str(self.cut),
+            "" if math.isnan(self.creep) else f"{self.creep:.5f}",
+            "" if math.isnan(self.train_speed_m_s) else f"{self.train_speed_m_s:.5f}",
         )

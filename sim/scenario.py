@@ -18,7 +18,8 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from dbc.bounds import within
 from dbc.near_key import did_you_mean
-from dbc.text import TomlError, printable, read_bytes, read_toml
+from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
+from dbc.toml_lines import numbered
 from sim.physics.adhesion import rail
 from sim.scenario_schema import (
     BusModel,
@@ -260,12 +261,15 @@ class Scenario(Strict):
         return tuple(d for d in everyone if d not in named)
 
 
-def parse(table: Mapping[str, Any], source: str = "scenario") -> Scenario:
-    """Scenario from a table as TOML gives it. Raises ScenarioError listing all that is wrong."""
+def parse(table: Mapping[str, Any], source: str = "scenario", text: str = "") -> Scenario:
+    """Scenario from a table as TOML gives it. Raises ScenarioError listing all that is wrong.
+
+    text: the TOML, for the lines of what is wrong.
+    """
     try:
         return Scenario.model_validate(table)
     except ValidationError as error:
-        raise ScenarioError(source, _problems(error)) from None
+        raise ScenarioError(source, numbered(_problems(error), text)) from None
 
 
 def parse_text(text: str, source: str = "scenario") -> Scenario:
@@ -274,7 +278,7 @@ def parse_text(text: str, source: str = "scenario") -> Scenario:
         table = read_toml(text)
     except TomlError as error:
         raise ScenarioError(source, [f"not TOML: {error}"]) from None
-    return parse(table, source)
+    return parse(table, source, text)
 
 
 def find(name: str) -> Scenario:
@@ -298,8 +302,8 @@ def load(path: Path | str) -> Scenario:
     """Scenario from a file. Raises ScenarioError (also when the file cannot be read)."""
     path = Path(path)
     try:
-        text = read_bytes(path).decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = toml_text(read_bytes(path))
+    except (OSError, TomlError) as error:
         raise ScenarioError(str(path), [f"cannot be read: {error}"]) from None
     return parse_text(text, str(path))
 

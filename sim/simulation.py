@@ -242,11 +242,11 @@ class Simulation:
         for k, node in enumerate(self.nodes):
             speed, angle, load = row[k, [columns.SPEED, columns.ANGLE, columns.LOAD]].tolist()
             slides, deep = bool(losing[k]), depth[k]
-            if plant is not None and plant.slips(k, self._rails[k]):
+            if plant and plant.slips(k, self._rails[k]):
                 slides, deep = True, max(deep, plant.shortage(k, self._rails[k], load))
-            given = plant.given(k, float(row[k, columns.TORQUE])) if plant else 1.0
+            own = (plant.given(k, row.item(k, columns.TORQUE)), *plant.creep(k)) if plant else ()
             moves = round(t_s, 6), node, speed, angle, load, int(slides)
-            self._truth.append(Truth(*moves, classes[k], effect[k], deep, given))
+            self._truth.append(Truth(*moves, classes[k], effect[k], deep, *own))
 
     def _air(self, t_s: float) -> None:
         """The ambient temperature, where it changes."""

@@ -6,7 +6,7 @@ limits from data that the fit has seen are too tight.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -17,7 +17,7 @@ from estimators._core import Records
 from estimators.thermal import coverage, hypotheses, model
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
 from estimators.thermal.model import inputs_of, predict, simulate
-from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor
+from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor, followed
 from estimators.thermal.record import Record, spacing, split
 from estimators.thermal.system_identification import first_readings, identify
 
@@ -74,22 +74,6 @@ class Watching:
         """(K,) log odds of a fault, 0 where none is as probable; the train's largest."""
         out: Array = self.believe(record).statistic.max(axis=1)
         return out
-
-
-def followed(monitor: ThermalMonitor, record: Record) -> Iterator[bool]:
-    """A record sample by sample through a monitor; whether a block has been judged with it."""
-    ones = np.ones(record.motors)
-    before = -1
-    for k, at in enumerate(record.at.tolist()):
-        steps_ = slice(before + 1, at + 1)
-        before = at
-        monitor.add_sample(
-            record.temperature[k], record.current_square[steps_].mean(axis=0),
-            ones * np.abs(record.speed[steps_]).mean(), ones * record.ambient[steps_].mean(),
-        )  # fmt: skip
-        judged = monitor.waiting > 0
-        monitor.judge(monitor.waiting)
-        yield judged
 
 
 def learn(parameters: Array, runs: Sequence[Record]) -> Known:

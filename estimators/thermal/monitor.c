@@ -27,8 +27,8 @@ static const double SUREST =
     0.95; /* of a loose connector: it has to be forgotten when it is mended */
 static const double SURE = 1.0 - 1e-6; /* of a sensor that has stepped, to be off */
 static const double LEAST = 1e-300;    /* of a sum of probabilities that is divided by */
-/* A fault is reported from the first probability until the last; what is reported is above one half. */
-static const double RAISE = 0.9, CLEAR = 0.3, HALF = 0.5;
+/* A fault is reported until the first probability; what is reported is above one half. */
+static const double CLEAR = 0.3, HALF = 0.5;
 
 /* Readings of a block that there are, in order. */
 static int readings_of(const double *values, int block, double *out)
@@ -205,14 +205,14 @@ static void judge_connectors(const struct thermal_config *config, struct thermal
 }
 
 /* Hysteresis: the kinds' sum is above one half where a fault is reported, and below where none is. */
-static void hold(struct thermal_motor *motor)
+static void hold(const struct thermal_config *config, struct thermal_motor *motor)
 {
     double total = 0.0;
     for (int c = 0; c < THERMAL_KINDS; c++)
         total += motor->kind[c];
     const double most = larger(total, 1.0);
     const double p = total / most;
-    motor->held = p > (motor->held ? CLEAR : RAISE);
+    motor->held = p > (motor->held ? CLEAR : config->raise_probability);
     motor->fault_probability = p;
     const double shown = motor->held ? larger(p, HALF + 0.01) : smaller(p, HALF - 0.01);
     for (int c = 0; c < THERMAL_KINDS; c++)
@@ -241,7 +241,7 @@ void thermal_judge_block(const struct thermal_config *config,
         imm_advance(&filters, &around, motor->off_k, noise_k, motor->held, &motor->imm);
     motor->size_k = imm_kinds(&config->imm, &motor->imm, motor->kind);
     judge_connectors(config, motor);
-    hold(motor);
+    hold(config, motor);
     const double share =
         config->learn_per_s * config->imm.block_s * (1.0 - motor->fault_probability);
     for (int q = 0; q < P; q++)

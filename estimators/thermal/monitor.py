@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from estimators._core import Addressed, Records, pointer, records
 from estimators.thermal import model, step_detector
 from estimators.thermal.hypotheses import HEAT, KINDS
+from estimators.thermal.record import Record
 
 Array = NDArray[np.float64]
 
@@ -90,6 +91,8 @@ AMBIGUOUS, MISFIT_K = 0.3, 0.06
 sensor that creeps may be heat where it has no lump, or, of one that reads low, heat of a motor that
 it is compared with: this share of its probability counts for heat, so that neither is named. A
 sensor that the step detector has seen step is named all the same."""
+RAISE: Final = 0.9
+"""Probability above which a fault is reported, where no rate of false alarms is stated."""
 LEAST_COVERED: Final = 0.8
 """Of a motor's held-back blocks, in the band of 95 %. One with less has `Reason` Config."""
 LOOSE_SHARE, GOOD_SHARE = 0.04, 1e-6
@@ -137,7 +140,8 @@ class Known(NamedTuple):
     single readings; scale: of `DISTURBANCES`; duty (4,): mean speed rad/s, and means of the
     squared current A^2, of the frame's cooling and of the winding's heating K/s, of the fleet;
     own_k: K per root of a minute that lumps deviate by themselves: more where the model is wrong.
-    coverage: of the filters with all this; None where it was not measured.
+    coverage: of the filters with all this; None where it was not measured. raise_probability: of a
+    fault, above which it is reported (`promise`).
     """
 
     parameters: Array
@@ -147,6 +151,7 @@ class Known(NamedTuple):
     duty: Array
     own_k: float = OWN_K
     coverage: Coverage | None = None
+    raise_probability: float = RAISE
 
 
 class ThermalMonitor(Addressed):
@@ -261,6 +266,22 @@ class ThermalMonitor(Addressed):
             )  # fmt: skip
 
 
+def followed(monitor: ThermalMonitor, record: Record) -> Iterator[bool]:
+    """A record sample by sample through a monitor; whether a block has been judged with it."""
+    ones = np.ones(record.motors)
+    before = -1
+    for k, at in enumerate(record.at.tolist()):
+        steps_ = slice(before + 1, at + 1)
+        before = at
+        monitor.add_sample(
+            record.temperature[k], record.current_square[steps_].mean(axis=0),
+            ones * np.abs(record.speed[steps_]).mean(), ones * record.ambient[steps_].mean(),
+        )  # fmt: skip
+        judged = monitor.waiting > 0
+        monitor.judge(monitor.waiting)
+        yield judged
+
+
 def imm_config(scale: float, block_s: float, faults: Array) -> Records:
     """(1,) of `struct imm_config`; scale: of `DISTURBANCES`; faults (9, 4): as `SIZES_K`."""
     out = np.zeros(1, records.IMM_CONFIG)
@@ -308,6 +329,7 @@ def _config(known: Known, dt_s: float) -> Records:
     out["far_sigma"], out["far_k"], out["burst_length"] = FAR_SIGMA, FAR_K, BURST_LENGTH
     out["loose_begin_per_s"], out["loose_end_per_s"] = 1.0 / LOOSE_BEGIN_S, 1.0 / LOOSE_END_S
     out["learn_per_s"] = 1.0 / LEARNT_S
+    out["raise_probability"] = known.raise_probability
     return out
 
 

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.io.extras import pictures
     from gateway.io.replay import BadLogError, OneChannel, open_log
     from gateway.io.whole_file import write_text
-    from gateway.settings.calibration import to_toml
+    from gateway.settings.calibration import promise_lines, to_toml
     from gateway.settings.config import ConfigError
     from gateway.study import calibration_fit
     from gateway.study.calibrating import Learner
@@ -56,7 +56,8 @@ def run(options: argparse.Namespace) -> int:
     # Whatever was learnt before says nothing now.
     thermal = config.thermal.model_copy(update={"calibration": None})
     config = config.model_copy(update={"thermal": thermal})
-    learner = Learner(config.nodes, config.thermal.window_s)
+    rate = config.thermal.false_alarms_per_1000_h
+    learner = Learner(config.nodes, config.thermal.window_s, promises=rate is not None)
     for log in options.log:
         tracked = track_file(open_log(log, strict=False), log, log.name)
         learner.begin()
@@ -69,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
         result = learner.finish(MARGIN)
     if result.heat is None and config.thermal.method == "model" and not options.without_model:
         raise ConfigError("calibrate", [*learner.lacks(), NO_MODEL, WITHOUT])
+    promised = promise_lines(result if rate is None else result.promising(rate))
     path = options.output
     write_text(path, to_toml(result))
     limits = ", ".join(f"{v:.2f}" for v in result.maisd_limit_k)
@@ -76,6 +78,8 @@ def run(options: argparse.Namespace) -> int:
     motors = len(config.nodes)
     seen = f"{learner.samples} samples of {motors} motors"
     print(f"{shown(path)}: {seen}; MAISD limits {limits} K; {model}")
+    for line in promised:
+        print(line)
     if learner.fits:
         print("\n".join(calibration_fit.lines(learner.fits)))
         if learner.coverage is not None:

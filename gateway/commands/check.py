@@ -79,7 +79,8 @@ def run(options: argparse.Namespace) -> int:
     config, codec = prepare(options.config, signature=options)
     planned = foreign.plans(config)
     foreign.fitted(codec, planned, creep=config.adhesion.send_creep)
-    word = calibration.config_hash(config, codec.digest, calibration.of(config))
+    cells = calibration.of(config)
+    word = calibration.config_hash(config, codec.digest, cells)
     print(f"configuration  good, hash {word:06x}")
     print(
         f"message set    {printable(codec.path.name)}: "
@@ -112,6 +113,8 @@ def run(options: argparse.Namespace) -> int:
         else "not calibrated: flags stay unknown; run `traction-gateway calibrate`"
     )
     print(f"thermal        {calibrated}")
+    for line in calibration.promise_lines(cells):
+        print(f"promise        {line}")
     signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
     print(f"signature      {signed}")
     print(f"flags          {_authentication(config)}")

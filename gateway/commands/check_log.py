@@ -146,8 +146,12 @@ class _Values:
 
     def absent(self, node: int) -> list[fit.Finding]:
         """That nothing came of this drive."""
-        if any(spec.node == node and spec.index in self._parts for spec in self._codec.messages):
+        mine = [s.index for s in self._codec.messages if s.node == node and not s.is_gateway]
+        if self._parts.keys() & mine:
             return []
+        if not mine:
+            cure = "docs/inverters.md says which signals belong together"
+            return [fit.Finding(False, f"its signals make none of our messages: {cure}")]
         text = "the log has none of its messages: correct node or id_offset, or --log-channel"
         return [fit.Finding(False, text)]
 

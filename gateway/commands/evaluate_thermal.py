@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import GOOD
+from gateway.commands.common import GOOD, positive_seconds
 from gateway.commands.progress import Progress, track
 from gateway.io.console import console
 from gateway.io.whole_file import write_text
@@ -33,6 +33,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                        help="kinds of faults, `none` for fault-free (default: all except "
                        "`sensor_creep`)")  # fmt: skip
     group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
+    group.add_argument("--false-alarms", type=float, metavar="N", help="check a stated rate of N "
+                       "in 1000 h instead: each train gets its limit from some fault-free hours, "
+                       "and false alarms are counted in others; needs --base bench")  # fmt: skip
+    group.add_argument("--limit-hours", type=positive_seconds, default=4.0, metavar="H",
+                       help="for --false-alarms: hours for the limit (default: 4)")  # fmt: skip
+    group.add_argument("--judged-hours", type=positive_seconds, default=50.0, metavar="H",
+                       help="for --false-alarms: hours in which they are counted "
+                       "(default: 50)")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,9 +62,15 @@ def run(options: argparse.Namespace) -> int:
     if options.world not in WORLDS:
         known = ", ".join(WORLDS)
         raise ConfigError(f"--world {options.world}", [f"is for adhesion; known: {known}"])
-    if options.world == "other" and options.base != "bench":
-        raise ConfigError("--world other", ["it has samples of seconds only: add --base bench"])
+    for option, needs in (
+        ("--world other", options.world == "other"),
+        ("--false-alarms", options.false_alarms is not None),
+    ):
+        if needs and options.base != "bench":
+            raise ConfigError(option, ["is for samples of seconds only: add --base bench"])
     seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
+    if options.false_alarms is not None:
+        return _promise(options, seeds)
     usual = (*KINDS, HEALTHY)
     kinds = _known("kind", options.kind or usual, (*usual, CREEP))
     methods = _known("method", options.method, NAMES)
@@ -85,6 +99,27 @@ def run(options: argparse.Namespace) -> int:
         path = folder / "evaluation.md"
         write_text(path, f"{title}\n\n{text}\n\n{NOTE}{missing}\n")
         say.print(f"written: {path}", markup=False)
+    return GOOD
+
+
+def _promise(options: argparse.Namespace, seeds: Sequence[int]) -> int:
+    from gateway.settings.config import ConfigError
+    from gateway.study.thermal_promise import RUN_H, Split, report, splits
+
+    if not 0.001 <= options.false_alarms <= 1000.0:
+        raise ConfigError("--false-alarms", ["expected 0.001 to 1000 in 1000 h"])
+    how = Split(options.false_alarms, options.limit_hours, options.judged_hours)
+    if min(how[1:]) < RUN_H:
+        raise ConfigError("--limit-hours, --judged-hours", [f"a run has {RUN_H:g} h: give more"])
+    each = splits(seeds, options.world, how, options.jobs)
+    found = [kept for kept in track(each, "trains", len(seeds)) if kept is not None]
+    if not found:
+        raise ConfigError("--seeds", ["these trains have one motor each, which is never judged"])
+    text = report(found)
+    print(text)
+    if options.output is not None:
+        title = f"# Stated rate of false alarms, {options.seeds} seeds, {options.world} world"
+        write_text(options.output / "promise.md", f"{title}\n\n{text}\n")
     return GOOD
 
 

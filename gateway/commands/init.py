@@ -41,6 +41,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", type=Path, metavar="FILE",
                         help="recording of that bus, for cycle times and identifiers")  # fmt: skip
     add_line(parser)
+    parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--id-offset", type=_whole_number, metavar="N", default=0,
                         help="offset of the first drive's identifiers from the DBC's")  # fmt: skip
     parser.add_argument("--id-step", type=_whole_number, metavar="N",
@@ -71,6 +72,8 @@ def run(options: argparse.Namespace) -> int:
     print(f"written: {shown(options.output)}")
     log = ["--log", str(options.log)] if options.log else []
     log += ["--line", options.line] if options.log and options.line is not None else []
+    if options.log and options.log_channel is not None:
+        log += ["--log-channel", options.log_channel]
     return _check(options.output, log)
 
 
@@ -85,7 +88,7 @@ def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     named = Path(os.path.relpath(dbc, options.output.parent)).as_posix()
     if guess.of_this_project(specs):
         return first_config.ours(drives, named)
-    periods = _periods(options.log, options.line) if options.log else {}
+    periods = _periods(options) if options.log else {}
     # As if the first drive had no offset.
     periods = {key - options.id_offset: ms for key, ms in periods.items()}
     there = [spec for spec in specs if spec.key in periods] if periods else list(specs)
@@ -153,19 +156,21 @@ def _say(shared: Shared, drives: int) -> None:
         note("the DBC has no cycle times; they are guessed: give --log, or correct cycle_ms")
 
 
-def _periods(log: Path, line: str | None) -> dict[int, float]:
+def _periods(options: argparse.Namespace) -> dict[int, float]:
     """Median period in ms of every identifier in a log's first frames.
 
-    Raises ConfigError where none comes a few times.
+    Raises ConfigError where none comes a few times, BadLogError for another channel.
     """
     import numpy as np
 
     from dbc.frame import EXTENDED
-    from dbc.logs.opening import open_reader
+    from gateway.io.replay import OneChannel, open_log
     from gateway.settings.config import ConfigError
 
+    log = options.log
     parts, seen = [], 0
-    for block in open_reader(log, strict=False, line=pattern_of(log, line)).blocks():
+    read = open_log(log, strict=False, line=pattern_of(log, options.line))
+    for block in OneChannel(read.blocks, options.log_channel):
         keys = block.can_id.astype(np.int64)
         keys |= np.where(block.flags & EXTENDED, _EXTENDED, 0)
         parts.append((keys, block.t_ns))

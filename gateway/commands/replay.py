@@ -237,8 +237,12 @@ def _report(
 
 def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> None:
     """What the log held and what the gateway said, on stdout."""
+    from gateway.settings.calibration import promise_lines
+
     report_log(reader)
     print(f"configuration: {done.gateway.outbox.config_hash:06x}")
+    for line in promise_lines(done.gateway.calibration):
+        print(f"promise: {line}")
     for back in done.clock.backs[:SHOWN]:
         console().print(
             f"the log's clock was set back by {(back.before_ns - back.after_ns) / 1e9:.3f} s, "

@@ -70,6 +70,7 @@ def _start(options: argparse.Namespace) -> Started:
     from gateway.io.permission import Mode, allowed
     from gateway.io.realtime import Ticker
     from gateway.io.scheduling import be_realtime, described, use_given
+    from gateway.settings.calibration import promise_lines
 
     config, codec = prepare(options.config, signature=options)
     mode = Mode.LISTEN if options.listen_only else Mode.RUN
@@ -94,6 +95,8 @@ def _start(options: argparse.Namespace) -> Started:
     _rehearse(config, codec)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)
+    for line in promise_lines(gateway.calibration):
+        log.info("promise: %s", line)
     return Started(config, transport, ticker, gateway)
 
 

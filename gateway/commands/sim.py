@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
 
 log = logging.getLogger(__name__)
-TRUTH_HEADER = (
-    "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
-)  # fmt: skip
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,7 +98,9 @@ class _Truth:
     def __init__(self, file: TextIO | None) -> None:
         self._writer = csv.writer(file, lineterminator="\n") if file else None
         if self._writer:
-            self._writer.writerow(TRUTH_HEADER)
+            from sim.ground_truth import COLUMNS
+
+            self._writer.writerow(COLUMNS)
 
     def record(self, simulation: Any) -> None:
         rows = simulation.truth_rows()

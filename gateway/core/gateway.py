@@ -95,7 +95,7 @@ class Gateway(Addressed):
         self.bank = Bank(motors, config.estimator, _current_step_a(taken), tick_ns)
         places = self.inbox.places([0.1 * m.I_rated for m in motors])
         self.inputs = inputs.InputMonitor(self.inbox.receiver, places.channels)
-        cells = calibration.of(config)
+        self.calibration = cells = calibration.of(config)
         self.thermal = _thermal(config, drives, cells)
         self.thermal.wire(places, [_limit_ns(d, "Temperatures") for d in drives])
         by = _rules(config, _slowest(drives))

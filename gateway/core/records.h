@@ -558,6 +558,7 @@ struct thermal_config {
     double loose_begin_per_s; /* 1/s, rate at which a connector comes loose */
     double loose_end_per_s;   /* 1/s, rate at which one is mended */
     double learn_per_s;       /* 1/s, of a motor's baseline while there is no fault */
+    double raise_probability; /* above which a fault is reported: at least 0.9 */
     int32_t block;            /* samples of a block, at least 1 */
 };
 

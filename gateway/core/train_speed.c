@@ -26,6 +26,8 @@
 #define MOST_SLIP    0.06 /* of wheels that adhere, one or two percent of creep of each included, */
 #define SLIP_OF_TWO  0.08 /* of two drives, where the reference has the noise of one */
 #define MOST_DIFFERENCE 0.1 /* and of diameters of which too little has been learnt */
+#define HILL     0.02
+#define ROTATING 0.15
 #define AHEAD_S         0.05
 #define CARRIES         0.5 /* share of the mean load */
 #define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
@@ -67,6 +69,15 @@ static double follow_lead(double bound, double lead, double most, int braking)
     return clamp(lead, bound - down, bound + up);
 }
 
+/* 1 if the rail is bad under any of them. */
+static int is_bad_rail(const struct train_tick *t, int first)
+{
+    for (int k = first; k < t->n; k = next_alike(t, k))
+        if (t->rotor[k].apart || (t->in[k].adhesion == FLAG_BAD && t->in[k].operating))
+            return 1;
+    return 0;
+}
+
 /* Both bounds of this tick, in the record of the first rotor. */
 static void follow_train(struct train_tick *t, int first)
 {
@@ -77,7 +88,9 @@ static void follow_train(struct train_tick *t, int first)
         train->train_speed = train->train_limit = lead;
     const double rate = MOST_ACCELERATION * train->rated_nm / train->inertia_kg_m2;
     const double most = rate * t->tick_s;
-    train->train_speed = follow_lead(train->train_speed, lead, most, t->braking);
+    const double share = (HILL + ROTATING * t->effort) / MOST_ACCELERATION;
+    const double least = is_bad_rail(t, first) ? smaller(1.0, share) * most : most;
+    train->train_speed = follow_lead(train->train_speed, lead, least, t->braking);
     train->train_limit = follow_lead(train->train_limit, lead, HARDER * most, t->braking);
 }
 

@@ -6,6 +6,7 @@ for this run and kept in memory; a named one is reached as Dask's own configurat
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from typing import Final
 
 import dask
 from distributed import Client, LocalCluster, Security, as_completed
+from distributed.core import Status
 from distributed.scheduler import KilledWorker
 
 from gateway.fleet.logs import Job, Settings, done_before
@@ -29,6 +31,8 @@ RETRIES: Final = 2
 DIED: Final = "every worker that tried this log died"
 STARTS: Final = 6
 """Times that local processes are started, if they do not come up."""
+CHECK_S: Final = 1.0
+"""Between two looks whether all local processes are there."""
 ALONE: Final = 2
 """Times that a suspected log gets its turn alone: what kills workers may have been something else.
 """
@@ -46,8 +50,13 @@ _LOCAL: Final = {
     "distributed.worker.http.routes": [],
     "distributed.worker.profile.enabled": False,
     "distributed.nanny.pre-spawn-environ": dict.fromkeys(_THREADS, 1),
+    "distributed.deploy.lost-worker-timeout": "365 days",
 }
-"""For local processes: one thread each, no pages to look at, nobody who samples the stack."""
+"""For local processes: one thread each, no pages to look at, nobody who samples the stack.
+
+Nor is one given up that is not there 15 s (Dask's default) after it died: it may have started
+again and died once more.
+"""
 
 log = logging.getLogger(__name__)
 After = Callable[[Job, Row], None]
@@ -70,6 +79,22 @@ def _local(jobs: int, level: int) -> LocalCluster:
     raise AssertionError
 
 
+def _keep(cluster: LocalCluster, jobs: int) -> None:
+    """As long as the cluster runs, start local processes again that Dask has given up.
+
+    Dask starts a process that died again, but gives it up if the start fails. Without any process
+    the logs that are left would wait for ever.
+    """
+    if cluster.status != Status.running:
+        return
+    for name, nanny in list(cluster.workers.items()):
+        if nanny.status in (Status.closed, Status.failed):
+            del cluster.workers[name]
+    if len(cluster.workers) < jobs:
+        cluster.scale(jobs)
+    asyncio.get_running_loop().call_later(CHECK_S, _keep, cluster, jobs)
+
+
 @contextmanager
 def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     """A client of local processes with a thread each, or of the named scheduler.
@@ -84,7 +109,9 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(_LOCAL))
-            yield stack.enter_context(Client(stack.enter_context(_local(jobs, level))))
+            cluster = stack.enter_context(_local(jobs, level))
+            cluster.loop.add_callback(_keep, cluster, jobs)
+            yield stack.enter_context(Client(cluster))
             return
         if not scheduler.startswith(SECURE):
             log.warning("%s: not encrypted; whoever reaches it can run code there", scheduler)

@@ -282,6 +282,11 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
             f"{path}: {what}not one of its {reader.lines} {reader.unit} is a {name}; "
             f"line {line}: {verdict.name.lower()}: {text[:REPORTED]}"
         )
+        with path.open("rb") as file:
+            head = file.read(8192)
+        if b"\r" in head and b"\n" not in head:
+            msg = f"{path}: its lines end in CR only; change them with `tr '\\r' '\\n'`"
+            raise BadLogError(msg)
         from dbc.logs.screen import is_screen_form
 
         if is_screen_form(text):

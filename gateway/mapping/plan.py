@@ -8,6 +8,7 @@ know: DBCs, configuration. May not know: frames, clocks, buses.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +38,8 @@ LEAST_NS: Final[dict[str, Nanos]] = {"Status": 100 * MS, "Motion": 10 * MS}
 """No oftener than this, as in our message set: all drives' are compared with one another."""
 _LOWEST: Final = -(1 << 31)
 _FD_SIZES: Final = (12, 16, 20, 24)
+
+_OWN_KEY: Final = re.compile(r"(use|cycle_ms)\.\w+: ")
 
 
 class Plan(NamedTuple):
@@ -72,9 +75,12 @@ def plans(config: Config) -> list[Plan]:
         try:
             out.append(_plan(config, drive, drive.signals))
         except ConfigError as error:
-            problems += [f"drive.{position}.signals: {line}" for line in error.problems]
+            path = f"drive.{position}.signals"
+            problems += [
+                f"{path}{'.' if _OWN_KEY.match(line) else ': '}{line}" for line in error.problems
+            ]
     if problems:
-        raise ConfigError("configuration", problems)
+        raise config.error(problems)
     return out
 
 

@@ -30,6 +30,9 @@ BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#999999"
 PURPLE, SKY, YELLOW, DARK = "#CC79A7", "#56B4E9", "#E69F00", "#444444"
 WIDTH_IN: Final = 9.0
 _LEFT_IN, _RIGHT_IN, _GAP_IN, _NAMES_IN = 0.95, 0.15, 0.14, 0.18
+LEFT: Final = _LEFT_IN / WIDTH_IN
+RIGHT: Final = 1.0 - _RIGHT_IN / WIDTH_IN
+"""Ends of the axis of time, as shares of a picture's width."""
 _STYLE: Final[dict[str, Any]] = {
     "svg.hashsalt": "traction-gateway",
     # Text stays text: it can be searched and copied, and the file is a third of the size.
@@ -121,8 +124,7 @@ def panels(wanted: Sequence[Panel], top_in: float = 0.12, foot_in: float = 0.75)
     for panel in wanted:
         y -= panel.height + _NAMES_IN * panel.names
         box = (
-            _LEFT_IN / WIDTH_IN, y / high,
-            1.0 - (_LEFT_IN + _RIGHT_IN) / WIDTH_IN, panel.height / high,
+            LEFT, y / high, RIGHT - LEFT, panel.height / high,
         )  # fmt: skip
         axis = figure.add_axes(box, sharex=axes[0] if axes else None)
         axis.set_ylabel(panel.label)
@@ -220,7 +222,7 @@ def legend(axis: Axes, columns: int = 4) -> None:
 def foot(figure: Figure, handles: list[Any]) -> None:
     """A legend of strips below everything."""
     figure.legend(handles=handles, loc="lower left", ncols=len(handles), handlelength=1.8,
-                  bbox_to_anchor=(_LEFT_IN / WIDTH_IN - 0.012, 0.0), columnspacing=1.4)  # fmt: skip
+                  bbox_to_anchor=(LEFT - 0.012, 0.0), columnspacing=1.4)  # fmt: skip
 
 
 def at_least(axis: Axes, span: float) -> None:
@@ -294,7 +296,7 @@ def loads(
         foot(figure, handles)
         # A name is no formula, and no control character is XML.
         figure.text(
-            _LEFT_IN / WIDTH_IN, 1 - 0.12 / figure.get_figheight(), printable(title),
+            LEFT, 1 - 0.12 / figure.get_figheight(), printable(title),
             va="top", fontweight="bold", parse_math=False,
         )  # fmt: skip
         axes[0].set_xlim(0.0, max(end_s, 1e-3))

@@ -1,6 +1,7 @@
 """A report as Markdown, and the same as one HTML file with its pictures inside.
 
-The HTML needs no script and nothing from outside; it is readable on a phone and on paper.
+The HTML needs nothing from outside; it is readable on a phone and on paper. Its script zooms into
+pictures over time and leads from an event in a table to its second; without it all else is there.
 """
 
 from __future__ import annotations
@@ -8,8 +9,9 @@ from __future__ import annotations
 import base64
 import html
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 from dbc.text import printable
@@ -79,12 +81,21 @@ class Anchors:
         return f"{name}-{count}" if count else name
 
 
-def write(folder: Path, title: str, text: str, figures: Iterable[str]) -> None:
+def write(
+    folder: Path,
+    title: str,
+    text: str,
+    figures: Iterable[str],
+    spans: Mapping[str, float] = MappingProxyType({}),
+) -> None:
     """`report.md` and `report.html` in `folder`; `figures`: stems of the SVG files there.
 
-    Raises OSError.
+    spans: by stem, seconds on the axis of time of `figures.panels`: these have zoom. Raises
+    OSError.
     """
     from markdown_it import MarkdownIt
+
+    from gateway.reports.figures import LEFT, RIGHT
 
     write_text(folder / "report.md", text)
     reader = MarkdownIt("commonmark").enable("table")
@@ -97,8 +108,13 @@ def write(folder: Path, title: str, text: str, figures: Iterable[str]) -> None:
     body = reader.renderer.render(tokens, reader.options, {})
     for name in figures:
         inside = base64.b64encode((folder / f"{name}.svg").read_bytes()).decode()
-        body = body.replace(f'src="{name}.svg"', f'src="data:image/svg+xml;base64,{inside}"')
-    page = PAGE.replace("TITLE", html.escape(printable(title)), 1).replace("BODY", body, 1)
+        span = spans.get(name)
+        data = f' data-x="{LEFT:.5f} {RIGHT:.5f} {span:.3f}"' if span else ""
+        source = f'src="data:image/svg+xml;base64,{inside}"{data}'
+        body = body.replace(f'src="{name}.svg"', source)
+    page = PAGE.replace("TITLE", html.escape(printable(title)), 1).replace(
+        "BODY", body + SCRIPT * bool(spans), 1
+    )
     write_text(folder / "report.html", page)
 
 
@@ -131,6 +147,10 @@ details { margin: 1rem 0; }
 summary { cursor: pointer; }
 img { max-width: 100%; height: auto; }
 a { color: #005A8E; }
+.zoom { overflow: auto; max-height: 85vh; }
+.zoom > div { position: relative; min-width: 44rem; }
+.zoom img { width: 100%; display: block; }
+.zoom i { position: absolute; top: 0; bottom: 0; border-left: 2px solid #D55E00; }
 @media (max-width: 45rem) {
   body { margin: 1rem auto; padding: 0 0.7rem; }
   p:has(> img) { overflow-x: auto; }
@@ -140,6 +160,9 @@ a { color: #005A8E; }
   body { max-width: none; margin: 0; font-size: 10pt; }
   table { display: table; font-size: 8pt; }
   thead { display: table-header-group; }
+  .zoom { max-height: none; overflow: visible; }
+  .zoom > div { width: 100% !important; min-width: 0; }
+  .tools { display: none; }
   tr, img, blockquote { break-inside: avoid; }
   h1, h2, h3, h4 { break-after: avoid; }
   pre { white-space: pre-wrap; }
@@ -150,4 +173,57 @@ a { color: #005A8E; }
 <body>
 BODY</body>
 </html>
+"""
+
+SCRIPT: Final = """<script>
+"use strict";
+const MOST = 32, SHOWN_S = 5;
+const make = (name, more) => Object.assign(document.createElement(name), more);
+const pictures = [...document.querySelectorAll("img[data-x]")].map((img) => {
+  const [left, right, span] = img.dataset.x.split(" ").map(Number);
+  const box = make("div", {className: "zoom"}), inner = make("div");
+  const mark = make("i", {hidden: true}), label = make("label", {className: "tools"});
+  const slider = make("input", {type: "range", min: 1, max: MOST, step: "any", value: 1});
+  label.append("zoom ", slider);
+  img.before(label, box);
+  inner.append(img, mark);
+  box.append(inner);
+  const set = (zoom, at = (box.scrollLeft + box.clientWidth / 2) / inner.offsetWidth) => {
+    slider.value = zoom;
+    inner.style.width = `${100 * slider.value}%`;
+    box.scrollLeft = at * inner.offsetWidth - box.clientWidth / 2;
+  };
+  slider.oninput = () => set(slider.value);
+  box.addEventListener("wheel", (turn) => {
+    if (!turn.ctrlKey) return;
+    turn.preventDefault();
+    set(slider.value * (turn.deltaY < 0 ? 1.25 : 0.8));
+  }, {passive: false});
+  const drive = /of drive (\\d+) over time/.exec(img.alt);
+  const jump = (seconds) => {
+    const at = left + (right - left) * seconds / span;
+    mark.hidden = false;
+    mark.style.left = `${100 * at}%`;
+    set(span / SHOWN_S, at);
+    box.scrollIntoView({block: "center"});
+  };
+  return {img, jump, drive: drive ? drive[1] : "all"};
+});
+for (const table of document.querySelectorAll("table")) {
+  const head = [...table.rows[0].cells].map((cell) => cell.textContent);
+  const who = head.indexOf("drive"), from = head.indexOf("from / s");
+  if (who < 0 || from < 0) continue;
+  for (const row of [...table.rows].slice(1)) {
+    const drive = row.cells[who].textContent, cell = row.cells[from];
+    const mine = pictures.filter((p) => p.drive === drive);
+    const after = mine.find((p) => table.compareDocumentPosition(p.img) & 4);
+    const picture = after ?? mine.at(-1);
+    if (!picture) continue;
+    const text = cell.textContent, seconds = Number(text.replaceAll(",", ""));
+    const link = make("a", {href: "#", textContent: text, title: "show in the picture"});
+    link.onclick = (click) => { click.preventDefault(); picture.jump(seconds); };
+    cell.replaceChildren(link);
+  }
+}
+</script>
 """

@@ -99,9 +99,9 @@ def leave(folder: Path, title: str, runs: Sequence[Run], program: str, *, single
         body += _sections(run, "##" if single else "###")
     lines += _contents([title, *(line for line in body if line.startswith("#"))])
     text = "\n".join([*lines, *body, *_glossary(runs)])
-    figures = [name for run in runs for name in run.figures]
-    figures += [run.timed.picture for run in runs if run.timed]
-    page.write(folder, title, _tight(text), figures)
+    spans = {name: run.trace.span_s for run in runs for name in run.figures}
+    figures = [*spans, *(run.timed.picture for run in runs if run.timed)]
+    page.write(folder, title, _tight(text), figures, spans)
 
 
 def _tight(text: str) -> str:
@@ -149,10 +149,14 @@ def _verdict(run: Run) -> list[str]:
     if run.truth is not None:
         found = [j for j in judged if j.delay_ms is not None]
         delays = sorted(j.delay_ms or 0.0 for j in found)
-        text = f"Against the truth: {len(found)} of {_plural(len(judged), 'event')} found"
+        cut = sum(j.event.cut and j.delay_ms is None for j in judged)
+        events = _plural(len(judged) - cut, "event")
+        text = f"Against the truth: {len(found)} of {events} found"
         if delays:
             middle = delays[(len(delays) - 1) // 2]
             text += f" (delay: median {middle:,.0f} ms, longest {delays[-1]:,.0f} ms)"
+        if cut:
+            text += f", {cut} without a flag where the drive cut its own torque"
         lines.append(f"{text}, {_plural(len(false), 'false flag')}.")
     return lines
 
@@ -274,8 +278,8 @@ def _detections(run: Run) -> list[str]:
         lines += ["", "In truth no adhesion was lost, and no motor or sensor had a thermal fault."]
     else:
         lines += ["", "What was really so, and what became of it (without a flag of its own kind "
-                  "until its end it counts as missed; the truth does not say how deep a loss "
-                  "was):", *_events(judged)]  # fmt: skip
+                  "until its end it counts as missed; cut: the drive cut its own torque and the "
+                  "wheel never slid):", *_events(judged)]  # fmt: skip
     start_ns = run.trace.first_ns or 0
     known = run.truth is not None
     mine = list(run.intervals.of_drives())
@@ -298,9 +302,10 @@ def _detections(run: Run) -> list[str]:
 def _events(judged: Sequence[Judged]) -> list[str]:
     rows = [
         (
-            str(j.event.node), j.event.flag, j.event.kind,
+            str(j.event.node), j.event.flag, j.event.kind + ", cut" * j.event.cut,
             f"{j.event.start_s:,.3f}", f"{j.event.end_s:,.3f}",
-            "**missed**" if j.delay_ms is None else f"{j.delay_ms:,.0f}",
+            f"{j.delay_ms:,.0f}" if j.delay_ms is not None else "cut" if j.event.cut
+            else "**missed**",
             ", ".join(j.by.causes) if j.by else "",
         )
         for j in judged

@@ -45,8 +45,6 @@ LATE_S: Final = 0.1
 """A flag that still says `Adhering` so long after the onset of a loss is dangerous."""
 ABRUPT_S: Final = 0.02
 """A loss that takes half of the demand within this time of its onset is abrupt."""
-GIVEN: Final = 0.95
-"""A drive that makes less of what it is asked for cuts its torque."""
 GRACE_S: Final = 5e-7
 """Stamps and the truth's rows are decimals of one grid."""
 
@@ -247,7 +245,7 @@ def truth_of(rows: Iterable[Row], node: int) -> Truth:
     mine = [row for row in rows if row.drive == node]
     lost = np.array([bool(row.lost) for row in mine], dtype=np.bool_)
     depth = np.array([getattr(row, "depth", 1.0) for row in mine], dtype=np.float64)
-    cuts = np.array([getattr(row, "given", 1.0) < GIVEN for row in mine], dtype=np.bool_)
+    cuts = np.array([getattr(row, "cut", 0) for row in mine], dtype=np.bool_)
     return Truth(np.array([row.t_s for row in mine], dtype=np.float64), lost, depth, cuts)
 
 

@@ -22,7 +22,11 @@ from gateway.settings.config import ConfigError
 HEADER: Final = (
     "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
 )  # fmt: skip
+MORE: Final = ("cut", "creep", "train_speed_m_s")
+"""Columns that an older file does not have."""
 _CLASSES: Final = {str(ill.value): ill.value for ill in FaultClass}
+SLIDES: Final = 0.06
+"""Creep of a wheel that slides: beyond the 5 % that a fast slip limiter allows."""
 _LONGEST: Final = 1000
 """Bytes, of a row."""
 
@@ -62,13 +66,17 @@ class Row(Protocol):
 
 
 class Event(NamedTuple):
-    """What was true of a drive from start until end; `flag`: the one that is to tell it."""
+    """What was true of a drive from start until end; `flag`: the one that is to tell it.
+
+    cut: a loss in which the drive cut its own torque and its wheel never slid.
+    """
 
     node: int
     flag: str
     kind: str
     start_s: float
     end_s: float
+    cut: bool = False
 
 
 class _Drive:
@@ -82,6 +90,8 @@ class _Drive:
         self.before: tuple[int, int] | None = None
         """`lost` and `fault_class` of the last row: mostly the same."""
         self.running: dict[str, tuple[str, float]] = {}
+        self.cut = self.slid = False
+        """In a loss that lasts."""
 
     def put(self) -> None:
         """All rows into the envelope."""
@@ -109,6 +119,9 @@ class Truth:
             drive.rows.append((t_s, row.load_nm, row.speed_rad_s))
             if len(drive.rows) == CHUNK:
                 drive.put()
+            if row.lost:
+                drive.cut |= bool(getattr(row, "cut", 0))
+                drive.slid |= not abs(getattr(row, "creep", math.nan)) <= SLIDES
             if drive.before == (row.lost, row.fault_class):
                 continue
             drive.before = row.lost, row.fault_class
@@ -123,7 +136,10 @@ class Truth:
         before, since = drive.running.get(flag, ("", t_s))
         if kind != before:
             if before:
-                self.events.append(Event(node, flag, before, since, t_s))
+                cut = flag == "adhesion" and drive.cut and not drive.slid
+                self.events.append(Event(node, flag, before, since, t_s, cut))
+                if flag == "adhesion":
+                    drive.cut = drive.slid = False
             drive.running[flag] = kind, t_s
 
     def close(self) -> None:
@@ -164,6 +180,8 @@ class _Text(NamedTuple):
     load_nm: float
     lost: int
     fault_class: int
+    cut: int
+    creep: float
 
 
 def check(path: Path) -> None:
@@ -195,7 +213,7 @@ def _range(path: Path) -> tuple[float, float]:
         file.seek(max(0, path.stat().st_size - _LONGEST))
         last = file.read().decode("utf-8", "replace").splitlines()[-1]
     try:
-        return first.t_s, _row(last.split(",")).t_s
+        return first.t_s, _row(last.split(",")[: len(HEADER)]).t_s
     except (ValueError, KeyError):
         raise ConfigError(str(path), ["its last line is no row of truth"]) from None
 
@@ -204,8 +222,9 @@ def rows(path: Path) -> Iterator[Row]:
     """Those of a file, one after the other. Raises ConfigError with the line, OSError."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         lines = csv.reader(file)
-        if tuple(next(lines, ())) != HEADER:
-            raise ConfigError(str(path), [f"its first line must be {','.join(HEADER)}"])
+        head = tuple(next(lines, ()))
+        if head not in (HEADER, HEADER + MORE):
+            raise ConfigError(str(path), [f"its first line must be {','.join(HEADER + MORE)}"])
         try:
             for cells in lines:
                 yield _row(cells)
@@ -214,9 +233,11 @@ def rows(path: Path) -> Iterator[Row]:
 
 
 def _row(cells: Sequence[str]) -> _Text:
-    text, drive, speed, _, load, lost, ill, _ = cells
+    text, drive, speed, _, load, lost, ill, _, *more = cells
     t_s, speed_rad_s, load_nm = float(text), float(speed), float(load)
     if not (math.isfinite(t_s) and math.isfinite(speed_rad_s) and math.isfinite(load_nm)):
         msg = "not finite"
         raise ValueError(msg)
-    return _Text(t_s, int(drive), speed_rad_s, load_nm, int(lost), _CLASSES[ill])
+    cut, creep, _ = more or ("0", "", "")
+    slip = float(creep) if creep else math.nan
+    return _Text(t_s, int(drive), speed_rad_s, load_nm, int(lost), _CLASSES[ill], int(cut), slip)

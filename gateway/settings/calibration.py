@@ -12,18 +12,26 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationError
 
 from dbc.bounds import within
-from dbc.text import read_bytes, read_toml
+from dbc.text import read_bytes, read_toml, toml_text
+from dbc.toml_lines import numbered
 from estimators.thermal import model
-from estimators.thermal.monitor import OWN_K, Coverage, Known
+from estimators.thermal.monitor import OWN_K, RAISE, Coverage, Known
+from estimators.thermal.promise import STORED, Hours, Promise, promise_of
 from gateway.settings.config import Config, ConfigError, check_seal
 from gateway.settings.sections import Strict
 
 POINTS = ("stator", "drive_end", "non_drive_end")
 COVERAGE = Coverage._fields
 """Keys of a motor's heat that say how far its filters hold."""
+ADDED = ("own_k", "held_back_h", "largest_log_odds")
+"""Keys of the fleet's heat that older files do not have."""
+NO_HOURS = (
+    "the calibration has no fault-free hours that nothing was learnt from; set this key and run "
+    "'traction-gateway calibrate' with one log more"
+)
 
 
 Kelvin = Annotated[float, within(-300, 300, "K", "calibrate anew")]
@@ -37,6 +45,8 @@ Held = Annotated[float, within(0, 1e7, "s", "calibrate anew")]
 Step = Annotated[float, within(0, 400, "K", "calibrate anew")]
 Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate anew")]
 Share = Annotated[float, within(0, 1, "", "calibrate anew")]
+LogOdds = Annotated[float, within(-100, 100, "", "calibrate anew")]
+Hour = Annotated[int, within(1, 10**7, "h", "calibrate anew")]
 Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
@@ -70,12 +80,17 @@ class FleetHeat(Deferred):
     scale: of the disturbances that every motor has; duty: mean speed rad/s, mean squared current
     A^2, cooling and heating K/s of the runs that it was learnt from: sizes of faults are for them;
     own_k: K per root of a minute that lumps deviate by themselves, as held-back data shows (None: a
-    file from before this was measured, `monitor.OWN_K`).
+    file from before this was measured, `monitor.OWN_K`); held_back_h, largest_log_odds: `Hours` of
+    `promise` (None: calibrated without a stated rate of false alarms).
     """
 
     scale: Annotated[float, within(1e-6, 1e6, "", "calibrate anew")]
     duty: tuple[Duty, Duty, Duty, Duty]
     own_k: Annotated[float, within(1e-6, 10, "K", "calibrate anew")] | None = None
+    held_back_h: Hour | None = None
+    largest_log_odds: (
+        Annotated[tuple[LogOdds, ...], Field(min_length=1, max_length=STORED)] | None
+    ) = None
 
 
 class MotorCalibration(Deferred):
@@ -105,13 +120,29 @@ class Calibration(Deferred):
     deviation_limit_k: tuple[Limit, Limit, Limit]
     motor: tuple[MotorCalibration, ...]
     heat: FleetHeat | None = None
+    _promise: Promise | None = PrivateAttr(None)
+
+    @property
+    def promise(self) -> Promise | None:
+        """Of the thermal model's alarms, where a rate is stated."""
+        return self._promise
+
+    def promising(self, rate: float) -> Calibration:
+        """With the limit for so many false alarms in 1000 h. Raises ConfigError without hours."""
+        heat = self.heat
+        if heat is None or heat.held_back_h is None or heat.largest_log_odds is None:
+            raise ConfigError("thermal.false_alarms_per_1000_h", [NO_HOURS])
+        out = self.model_copy()
+        hours = Hours(heat.held_back_h, heat.largest_log_odds)
+        out._promise = promise_of(hours, rate)  # noqa: SLF001 (a copy of our own)
+        return out
 
     def checksum(self) -> str:
         """Of everything that was learnt; part of the configuration's hash on the bus."""
         # Keys that a file from before them does not have are no part of its checksum.
         older: dict[str, Any] = {}
-        if self.heat is not None and self.heat.own_k is None:
-            older["heat"] = {"own_k"}
+        if self.heat is not None:
+            older["heat"] = {key for key in ADDED if getattr(self.heat, key) is None}
         older["motor"] = {
             k: {"heat": set(COVERAGE)}
             for k, motor in enumerate(self.motor)
@@ -134,6 +165,7 @@ class Calibration(Deferred):
             scale=self.heat.scale,
             duty=np.array(self.heat.duty),
             own_k=OWN_K if self.heat.own_k is None else self.heat.own_k,
+            raise_probability=RAISE if self._promise is None else self._promise.limit,
             coverage=Coverage(
                 np.array([cell.inflation or 1.0 for cell in own]),
                 np.array([cell.covered or (np.nan, np.nan) for cell in own]),
@@ -153,7 +185,14 @@ def of(config: Config) -> Calibration | None:
     path = config.calibration_path
     if path is None:
         return None
-    return load(path, config.nodes, config.thermal.window_s, config.sealed.get("calibration"))
+    out = load(path, config.nodes, config.thermal.window_s, config.sealed.get("calibration"))
+    rate = config.thermal.false_alarms_per_1000_h
+    return out if rate is None else out.promising(rate)
+
+
+def promise_lines(cells: Calibration | None) -> list[str]:
+    """What a run promises; nothing where no rate is stated."""
+    return [] if cells is None or cells.promise is None else [f"thermal: {cells.promise}"]
 
 
 def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
@@ -185,14 +224,15 @@ def load(
         content = read_bytes(path)
         if sealed is not None:
             check_seal(path, content, sealed)
-        table = read_toml(content.decode("utf-8"))
+        text = toml_text(content)
+        table = read_toml(text)
         stored = table.pop("checksum", None)
         calibration = Calibration.model_validate(table)
     except FileNotFoundError:
         problem = "no such file; make one with 'traction-gateway calibrate LOG -o FILE'"
         raise ConfigError(str(path), [problem]) from None
     except ValidationError as error:
-        raise ConfigError(str(path), problems_of(error)) from None
+        raise ConfigError(str(path), numbered(problems_of(error), text)) from None
     except (OSError, ValueError) as error:
         # ValueError: no UTF-8, no TOML, or a NUL in the name.
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
@@ -212,7 +252,7 @@ def load(
             "limits hold for one window only"
         )
     if problems:
-        raise ConfigError(str(path), problems)
+        raise ConfigError(str(path), numbered(problems, text))
     return calibration
 
 
@@ -231,6 +271,11 @@ def to_toml(calibration: Calibration) -> str:
     if fleet is not None:
         lines += ["", "[heat]", f"scale = {fleet.scale}", f"duty = {numbers(fleet.duty, '.6g')}"]
         lines += [] if fleet.own_k is None else [f"own_k = {fleet.own_k}"]
+        if fleet.held_back_h is not None and fleet.largest_log_odds is not None:
+            lines += [
+                f"held_back_h = {fleet.held_back_h}",
+                f"largest_log_odds = {numbers(fleet.largest_log_odds)}",
+            ]
     for motor in calibration.motor:
         lines += [
             "",

@@ -18,7 +18,8 @@ from pydantic import (
 )
 
 from dbc.near_key import did_you_mean
-from dbc.text import TomlError, printable, read_bytes, read_toml
+from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
+from dbc.toml_lines import numbered
 from gateway.settings.inverters import share
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.settings.sections import (
@@ -64,6 +65,9 @@ class Config(Strict):
     base: Path = Field(Path(), exclude=True)
     sealed: dict[str, str] = Field(default_factory=dict, exclude=True)
     """SHA-256 of the files that a signature vouches for: dbc, calibration. Empty: unsigned."""
+    source: str = Field("configuration", exclude=True)
+    """The file, and its text: for messages."""
+    text: str = Field("", exclude=True)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -93,6 +97,11 @@ class Config(Strict):
                     "leave it at 0, "
                     "or use detector = 'paper_vb'"
                 )
+        if self.thermal.false_alarms_per_1000_h is not None and self.thermal.method != "model":
+            problems.append(
+                "thermal.false_alarms_per_1000_h: method 'maisd' has no such limit; leave it out, "
+                "or use method = 'model'"
+            )
         if self.bus.on_intruder == "tell" and self.authentication is None:
             problems.append(
                 "bus.on_intruder: 'tell' needs [authentication]: without it no receiver can tell "
@@ -101,6 +110,10 @@ class Config(Strict):
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    def error(self, problems: list[str]) -> ConfigError:
+        """What is wrong with it, with the lines of its file."""
+        return ConfigError(self.source, numbered(problems, self.text))
 
     @property
     def on_intruder(self) -> str:
@@ -182,15 +195,21 @@ def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
     return list(dict.fromkeys(lines))
 
 
-def parse(raw: dict[str, Any], source: str = "configuration", base: Path = Path()) -> Config:
-    """Validate a parsed TOML document. Raises ConfigError with every problem."""
+def parse(
+    raw: dict[str, Any], source: str = "configuration", base: Path = Path(), text: str = ""
+) -> Config:
+    """Validate a parsed TOML document. Raises ConfigError with every problem.
+
+    text: what was parsed, for the lines of the problems.
+    """
     document, shared, problems = share(raw)
     try:
-        config = Config.model_validate({**document, "base": base})
+        own = {"base": base, "source": source, "text": text}
+        config = Config.model_validate({**document, **own})
     except ValidationError as error:
-        raise ConfigError(source, problems + _lines(error, shared)) from None
+        raise ConfigError(source, numbered(problems + _lines(error, shared), text)) from None
     if problems:
-        raise ConfigError(source, problems)
+        raise ConfigError(source, numbered(problems, text))
     return config
 
 
@@ -217,17 +236,18 @@ def load(
         content = read_bytes(path)
         if sealed is not None:
             check_seal(path, content, sealed["config"])
-        raw = read_toml(content.decode("utf-8"))
+        text = toml_text(content)
+        raw = read_toml(text)
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
-    except (OSError, UnicodeDecodeError, TomlError) as error:
+    except (OSError, TomlError) as error:
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
-    inner = [key for key in ("base", "sealed") if key in raw]
+    inner = [key for key in ("base", "sealed", "source", "text") if key in raw]
     if inner:
         problems = [f"{key}: unknown key; remove it or correct its name" for key in inner]
-        raise ConfigError(str(path), problems)
+        raise ConfigError(str(path), numbered(problems, text))
     for section, keys in changes.items():
         if isinstance(raw.get(section, {}), dict):
             raw[section] = {**raw.get(section, {}), **keys}
-    config = parse(raw, str(path), path.parent)
+    config = parse(raw, str(path), path.parent, text)
     return config if sealed is None else config.model_copy(update={"sealed": sealed})

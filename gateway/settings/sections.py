@@ -200,8 +200,10 @@ class Adhesion(Extended):
         return {**WITHOUT_MEMORY_MS, **given}
 
 
-class Thermal(Strict):
+class Thermal(Extended):
     """`[thermal]`: without a calibration the thermal flags stay unknown."""
+
+    ADDED = ("false_alarms_per_1000_h",)
 
     calibration: str | None = None
     method: Literal["model", "maisd"] = Field(
@@ -213,6 +215,10 @@ class Thermal(Strict):
     """Causal moving average."""
     raise_s: Seconds = 1.0
     clear_s: Seconds = 5.0
+    false_alarms_per_1000_h: (
+        Annotated[float, within(0.001, 1000, "", "per 1000 h of operation: 1 is usual")] | None
+    ) = Field(None, description="of the thermal model; None: none stated")
+    """From which the limit follows: `estimators.thermal.promise`."""
 
 
 class Canopen(Extended):

@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from estimators import maisd
 from estimators.thermal import model
 from estimators.thermal.model_method import learn
-from estimators.thermal.monitor import Coverage, Known
+from estimators.thermal.monitor import Coverage, Known, ThermalMonitor
+from estimators.thermal.promise import Hours, hourly, hours_of
 from estimators.thermal.record import Record, split
 from estimators.thermal.system_identification import SCALED_SIGMA, identify, scaled
 from gateway.settings.calibration import (
@@ -45,6 +46,10 @@ NEEDED = {
     "ambient": "the ambient temperature (Temperatures)",
 }
 """Of each second, by the name in `Sample`."""
+NO_HOUR = (
+    "needs two logs or more; no model is learnt from the last one, which gives the limit and must "
+    "have an hour at least"
+)
 SPAN_K = 5.0
 """The fleet's mean must move this much over the logs before a gain is learnt."""
 
@@ -64,9 +69,14 @@ class Sample(NamedTuple):
 class Learner:
     """Collects window averages and sensor behaviour, cycle by cycle."""
 
-    def __init__(self, nodes: tuple[int, ...], window_s: float) -> None:
-        """Remember for which motors and which window."""
-        self.nodes = nodes
+    def __init__(self, nodes: tuple[int, ...], window_s: float, *, promises: bool = False) -> None:
+        """Remember for which motors and which window.
+
+        promises: a rate of false alarms is stated, so no model is learnt from the last log.
+        """
+        self.nodes, self.promises = nodes, promises
+        self.hours: Hours | None = None
+        """Of the last log, where a rate is stated."""
         self.window_s = window_s
         self.means: list[np.ndarray] = []
         shape = (len(nodes), len(POINTS))
@@ -161,8 +171,10 @@ class Learner:
         """Raises ValidationError where what was learnt cannot be."""
         known = self._known()
         fleet = known and FleetHeat(
-            scale=known.scale, duty=tuple(known.duty.tolist()), own_k=known.own_k
-        )
+            scale=known.scale, duty=tuple(known.duty.tolist()), own_k=known.own_k,
+            held_back_h=self.hours and self.hours.number,
+            largest_log_odds=self.hours and self.hours.largest,
+        )  # fmt: skip
         return Calibration(
             heat=fleet,
             window_s=self.window_s,
@@ -187,6 +199,7 @@ class Learner:
         Parameters come from all logs but the last (of one log: its first 70 %), the spread from it.
         """
         runs = [record for log in self.seconds if (record := self._record(log)) is not None]
+        own = runs.pop() if self.promises and len(runs) > 1 else None
         if len(runs) == 1:
             runs = list(split(runs[0], round(FIT_SHARE * len(runs[0].at))))
         if not runs or min(len(run.at) for run in runs) < FEWEST_SECONDS:
@@ -195,6 +208,11 @@ class Learner:
             return None
         known = learn(identify(runs[:-1], scaled(runs[:-1]), SCALED_SIGMA), runs)
         self.fits, self.coverage = fits(known, runs[-1], self.nodes), known.coverage
+        if self.promises:
+            peaks = np.zeros(0) if own is None else hourly(ThermalMonitor(known, self.dt_s), own)
+            if not len(peaks):
+                raise ConfigError("thermal.false_alarms_per_1000_h", [NO_HOUR])
+            self.hours = hours_of(peaks)
         return known
 
     def _record(self, log: list[Sample]) -> Record | None:

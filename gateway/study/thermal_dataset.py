@@ -127,7 +127,7 @@ def train(
     torque, speed, ambient = _duty(rng, base, steps)
     motor = TRACTION_350KW
     amps = torque / (1.5 * motor.pole_pairs * motor.psi_pm)
-    share = 1.0 + CURRENT_SPREAD * _clipped(own, MOTORS)
+    share = 1.0 + CURRENT_SPREAD * clipped(own, MOTORS)
     square = np.outer(amps**2, share**2)
     air = _course(own, rng, base, steps, AIR_SPREAD) * _ageing(
         rng, 0.0 if new else base.ageing, steps
@@ -146,7 +146,7 @@ def train(
             return heat_record(base.step_s, square, speed, (local, air, friction), ills, at)
 
         real = ill(1.0) if base is DAYS else _reaching(fault.size_k, ill, healthy)
-    offset = OFFSET_K * _clipped(own, (MOTORS, len(MEASURED)))
+    offset = OFFSET_K * clipped(own, (MOTORS, len(MEASURED)))
     noise = READING_NOISE_K * rng.standard_normal(real.shape)
     true = real + offset + error
     reading = np.round((true + noise) / RESOLUTION_K) * RESOLUTION_K
@@ -155,7 +155,8 @@ def train(
     return Labelled(reading, true, at, square, speed, seen, base.step_s, effect, fault)
 
 
-def _clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:
+def clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:
+    """Of a normal distribution with standard deviation 1, clipped to 2.5."""
     out: Array = np.clip(rng.standard_normal(shape), -2.5, 2.5)
     return out
 
@@ -168,7 +169,7 @@ def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
     from scipy.signal import lfilter
 
     wander = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0)
-    return np.asarray(1.0 + sigma * (_clipped(own, MOTORS) + np.clip(wander, -2.5, 2.5)) / 1.5)
+    return np.asarray(1.0 + sigma * (clipped(own, MOTORS) + np.clip(wander, -2.5, 2.5)) / 1.5)
 
 
 def _ageing(rng: Rng, most: float, steps: int) -> Array:

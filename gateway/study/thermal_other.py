@@ -24,6 +24,7 @@ from gateway.study.thermal_dataset import (
     Base,
     Fault,
     Labelled,
+    clipped,
     fault_of,
     sensor_error,
 )
@@ -111,15 +112,15 @@ def _train(own: Rng) -> Train:
     return Train(
         network(int(own.integers(3, 9)), like[:, :8], like[:, 8:]),
         # Diameters of wheels differ by some millimetres, and with them slips and currents.
-        current=1.0 + 0.015 * _clipped(own, motors),
+        current=1.0 + 0.015 * clipped(own, motors),
         # The leading motor of a bogie gets more air than the one in its wake; they swap.
-        direction=0.03 * _clipped(own, motors),
-        iron=own.uniform(0.7, 1.4) * (1.0 + 0.03 * _clipped(own, motors)),
-        rub=0.5 * (1.0 + 0.1 * _clipped(own, (motors, 2))),
+        direction=0.03 * clipped(own, motors),
+        iron=own.uniform(0.7, 1.4) * (1.0 + 0.03 * clipped(own, motors)),
+        rub=0.5 * (1.0 + 0.1 * clipped(own, (motors, 2))),
         side=own.choice([0.0, 1.0], motors),
         # Class B Pt100: 0.3 K + 0.5 %; gains within that.
-        offset_k=0.5 * _clipped(own, (motors, 3)),
-        gain=1.0 + 0.003 * _clipped(own, (motors, 3)),
+        offset_k=0.5 * clipped(own, (motors, 3)),
+        gain=1.0 + 0.003 * clipped(own, (motors, 3)),
         # Bead in a winding 3 to 15 s; in the bore of a shield up to a minute.
         sensor_lag_s=own.uniform([3.0, 10.0, 10.0], [15.0, 60.0, 60.0]),
         # Under the roof, in a housing.
@@ -131,11 +132,6 @@ def _train(own: Rng) -> Train:
         channel_k=float(own.uniform(0.05, 0.3)),
         duty=str(own.choice(list(DUTIES))),
     )
-
-
-def _clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:
-    out: Array = np.clip(rng.standard_normal(shape), -2.5, 2.5)
-    return out
 
 
 def _lagged(x: Array, lag_s: float) -> Array:

@@ -145,7 +145,7 @@ def trials(
         except ModuleNotFoundError:
             continue
         limit = float(np.nanquantile(fitted(limiting), LIMIT))
-        found = ((kind, _one(fitted, limit, runs[kind], at, shared)) for kind in kinds)
+        found = ((kind, judge(fitted, limit, runs[kind], at, shared)) for kind in kinds)
         out += [Trial(seed, kind, name, *scored) for kind, scored in found]
     return out
 
@@ -209,7 +209,7 @@ def fit(
     return fitted
 
 
-def _one(
+def judge(
     fitted: Callable[[Record], Array], limit: float, run: Labelled, base: Base, shared: Shared
 ) -> tuple[Score, dict[str, int]]:
     """Judge one run; the time is that of scoring it, without what others had computed before."""

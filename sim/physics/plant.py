@@ -282,11 +282,17 @@ class Plant:
             return False
         if abs(self._asked(drive)) > self._limit(drive, condition):
             return True
+        creep, v = self.creep(drive)
+        return abs(creep) > CREEP_LIMIT and abs(creep) > peak_creep(condition, v)
+
+    def creep(self, drive: int) -> tuple[float, float]:
+        """(Wheel - train) / train speed, and that speed, m/s; NaN under a preset load."""
+        if not self.on_rail:
+            return math.nan, math.nan
         v = self.v_m_s
         radius = self.train.wheel_radius_m * float(self.p.wheel[drive])
-        w = float(self.drives.w_m[drive]) * radius
-        creep = abs(w - v) / max(abs(v), SPEED_FLOOR_M_S)
-        return creep > CREEP_LIMIT and creep > peak_creep(condition, v)
+        slip = float(self.drives.w_m[drive]) * radius - v
+        return slip / max(abs(v), SPEED_FLOOR_M_S), v
 
     def shortage(self, drive: int, condition: Rail, load: float) -> float:
         """Share of what is asked that a drive which `slips` does not get onto the rail.

@@ -68,6 +68,7 @@ _CONFIG = _words(
     "sensors R_s L_s psi_pm pole_pairs J B k_p I_rated T_rated kind current_noise_var base "
     "process_noise min_speed_rad_s detector observe spread_nm raise_probability raise_ms good_ms "
     "clear_probability clear_ms raise_severe_ms calibration method limit_k window_s raise_s clear_s"
+    " false_alarms_per_1000_h"
     ' nmt_master "stator" "drive_end" "vb" "paper_vb" "speed" "ukf" "maisd" "go_on"'
 )
 _SCENARIO = _words(

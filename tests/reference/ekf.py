@@ -10,6 +10,7 @@ interval: the paper filters at 125 us, buses are slower.
 # ruff: noqa: F722, F821, UP037 - shape strings of jaxtyping
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -123,12 +124,13 @@ def sweep(
     n_gap: Int[NDArray[np.int64], "M"],
     dt: float,
     lean: Float[Array, "N"] | None = None,
+    prior: Callable[..., tuple[Array, Array, NDArray[np.bool_]]] | None = None,
 ) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
     """M samples in order, x and P in place: as `filter_run` does.
 
-    lean: see `leaned`, none without. Returns (nis (M,), ok (N,)). A drive whose result is not
-    `healthy` gets ok False and nis NaN, keeps its last good x and P, and its later rows are
-    skipped: start it anew.
+    lean: see `leaned`, none without; prior: `ukf.predict` in place of `predict`. Returns (nis
+    (M,), ok (N,)). A drive whose result is not `healthy` gets ok False and nis NaN, keeps its last
+    good x and P, and its later rows are skipped: start it anew.
     """
     lean = np.zeros(len(x)) if lean is None else lean
     nis = np.full(len(drive), np.nan)
@@ -142,9 +144,10 @@ def sweep(
         with np.errstate(all="ignore"):
             x_d, P_d = coast(par_d, noise_d, x[one], P[one], int(n_gap[k]), dt)
             v = leaned(u[k : k + 1], lean[one], 0.5 * int(n_sub[k]) * dt, x_d)
-            x_d, P_d = predict(par_d, noise_d, x_d, P_d, v, int(n_sub[k]), dt)
+            given = par_d, noise_d, x_d, P_d, v, int(n_sub[k]), dt
+            x_d, P_d, factored = prior(*given) if prior else (*predict(*given), ok[one])
             x_d, P_d, innovation = update(noise_d, x_d, P_d, y[k : k + 1])
-        ok[d] = healthy(x_d, P_d)[0]
+        ok[d] = factored[0] and healthy(x_d, P_d)[0]
         if ok[d]:
             x[one], P[one] = x_d, P_d
             nis[k] = innovation.nis[0]

@@ -304,8 +304,8 @@ def _compare_speeds(
         train.speed[k] /= train.diameter[k]
     memory, fastest = train.train, train.rated / train.inertia
     train_speed.follow(
-        memory, train.motor, train.speed, train.load, flag, fastest, train.learnt_s, effort, braking,
-        tick_s,
+        memory, train.motor, train.speed, train.load, flag, (flag == Flag.BAD) & operating,
+        train.apart, fastest, train.learnt_s, effort, braking, tick_s,
     )  # fmt: skip
     for k in range(flag.shape[0]):
         others = _speed_of_others(k, braking, train)

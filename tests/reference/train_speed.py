@@ -28,6 +28,7 @@ ROUGH_S: Final = 0.5
 SLIDING_SLIP: Final = 0.2
 SLIDING_S: Final = 0.05
 AHEAD_S: Final = 0.05
+HILL, ROTATING = 0.02, 0.15
 CARRIES: Final = 0.5
 """Share of the mean load: who carries as much for so long, ahead of the bound, shows the train."""
 LEAST_SPEED_RAD_S: Final = 3.0
@@ -68,8 +69,8 @@ def _lead(speed: Array, load: Array, sure: Flags, braking: bool) -> float:
 
 def follow(
     memory: TrainSpeed, motor: NDArray[np.int64], speed: Array, load: Array,
-    flag: NDArray[np.int64], fastest: Array, learnt_s: Array, effort: float, braking: bool,
-    tick_s: float,
+    flag: NDArray[np.int64], lost: Flags, apart: Flags, fastest: Array, learnt_s: Array, effort: float,
+    braking: bool, tick_s: float,
 ) -> None:  # fmt: skip
     """One tick. speed, load (N,); fastest (N,) rad/s2 at rated torque on the rotor alone."""
     for first in np.unique(motor):
@@ -79,7 +80,9 @@ def follow(
         unseen = math.isnan(lead)
         memory.unseen_s[first] = memory.unseen_s[first] + tick_s if unseen else 0.0
         forget = memory.unseen_s[first] > UNSEEN_S or (not unseen and effort < LEAST_EFFORT)
-        for bound, share in zip(memory.bounds, FASTEST, strict=True):
+        bad_rail = bool((lost | apart)[mine].any())
+        slow = min(FASTEST[0], HILL + ROTATING * effort) if bad_rail else FASTEST[0]
+        for bound, share in zip(memory.bounds, (slow, FASTEST[1]), strict=True):
             most = share * fastest[first] * tick_s
             if forget or math.isnan(bound[first]):
                 bound[first] = lead

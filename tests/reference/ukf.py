@@ -14,6 +14,7 @@ without samples is bridged as in the EKF.
 # ruff: noqa: F722, F821, UP037 - shape strings of jaxtyping
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -124,22 +125,5 @@ def sweep(
 
     lean and the returned (nis (M,), ok (N,)) as in `ekf.sweep`.
     """
-    lean = np.zeros(len(x)) if lean is None else lean
-    nis = np.full(len(drive), np.nan)
-    ok = np.ones(len(x), dtype=np.bool_)
-    for k, d in enumerate(drive):
-        if not ok[d]:
-            continue
-        one = slice(d, d + 1)
-        par_d = Pmsm(*(value[one] for value in par))
-        noise_d = Noise(*(value[one] for value in noise))
-        with np.errstate(all="ignore"):
-            x_d, P_d = ekf.coast(par_d, noise_d, x[one], P[one], int(n_gap[k]), dt)
-            v = ekf.leaned(u[k : k + 1], lean[one], 0.5 * int(n_sub[k]) * dt, x_d)
-            x_d, P_d, factored = predict(par_d, noise_d, x_d, P_d, v, int(n_sub[k]), dt, kappa)
-            x_d, P_d, innovation = ekf.update(noise_d, x_d, P_d, y[k : k + 1])
-        ok[d] = factored[0] and ekf.healthy(x_d, P_d)[0]
-        if ok[d]:
-            x[one], P[one] = x_d, P_d
-            nis[k] = innovation.nis[0]
-    return nis, ok
+    prior = partial(predict, kappa=kappa)
+    return ekf.sweep(par, noise, x, P, drive, u, y, n_sub, n_gap, dt, lean, prior)

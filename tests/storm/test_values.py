@@ -57,7 +57,7 @@ def test_the_seeds_bring_every_fault_to_every_phase():
             hit = np.bincount(phase[(ticks - 1) % LOOP_TICKS], minlength=len(PHASES))
             for name, count in zip(PHASES, hit.tolist(), strict=True):
                 met[fault.kind, name] += count
-    assert not campaign.uncovered(met, KINDS)
+    assert not campaign.uncovered(+met, KINDS)
 
 
 @pytest.mark.parametrize("seed", [0, 5, FD_SEEDS, FD_SEEDS + 8])

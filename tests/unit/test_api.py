@@ -12,7 +12,7 @@ from gateway.cli import main
 
 SIGNATURES = {
     "replay": "(log: 'FilePath', config: 'Config | FilePath | None' = None, *, "
-    "channel: 'str | None' = None, detector: 'str | None' = None, "
+    "channel: 'str | None' = None, detector: 'str | Detector | None' = None, "
     "start: 'FilePath | None' = None) -> 'Run'",
     "scenario": "(name: 'FilePath') -> 'Scenario'",
 }
@@ -82,6 +82,16 @@ def test_a_scenario_is_judged():
     assert run.verdicts
     assert run.flags.num_rows
     assert run.frames
+
+
+def test_a_report_is_that_of_the_command(log, run, tmp_path):
+    assert main(["replay", str(log), "--results", str(tmp_path / "theirs")]) == 0
+    mine = run.report(tmp_path / "mine")
+    assert mine.is_file()
+    for name in ("flags.csv", "estimates.csv", "drive1.svg"):
+        assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
+    judged = gateway.scenario("silent").run()
+    assert "expectations held" in judged.report(tmp_path / "hil").read_text()
 
 
 def test_names_are_public_and_signatures_are_kept():

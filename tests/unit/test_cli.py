@@ -60,6 +60,9 @@ def test_truth_has_a_row_per_drive_every_10_ms(folder):
     assert list(rows[0]) == [
         "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class",
         "true_effect_k",
+        "cut",
+        "creep",
+        "train_speed_m_s",
     ]  # fmt: skip
     assert len(rows) == 3 * 200
     lost = {r["t_s"] for r in rows if r["lost"] == "1" and r["drive"] == "2"}
@@ -238,6 +241,24 @@ def test_outputs_that_cannot_be_are_one_line(folder, capsys, tmp_path):
     refused(capsys, "replay", log, "-o", log / "x.log")
     refused(capsys, "replay", log, "--results", log)
     assert "folder" in refused(capsys, "replay", tmp_path)
+
+
+def test_an_option_given_twice_is_refused(folder, capsys):
+    with pytest.raises(SystemExit):
+        main(["replay", str(folder / "s.log"), "--detector", "vb", "--detector", "median"])
+    assert "argument --detector: given twice; give it once" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_a_file_is_one_line(folder, capsys):
+    assert main(["replay", str(folder / "s.log"), "--results", "/dev/full"]) == 2
+    assert "/dev/full: is no folder; name another one" in capsys.readouterr().err
+
+
+def test_a_log_with_cr_line_ends_is_refused_with_the_cure(folder, capsys, tmp_path):
+    path = tmp_path / "cr.log"
+    path.write_bytes((folder / "s.log").read_bytes().replace(b"\n", b"\r"))
+    assert main(["replay", str(path)]) == 2
+    assert "lines end in CR only; change them with `tr" in capsys.readouterr().err
 
 
 def test_of_several_logs_the_one_without_frames_is_named(folder, capsys, tmp_path):

@@ -2,9 +2,10 @@
 
 import pytest
 
+from gateway.mapping.plan import plans
 from gateway.settings.calibration import Calibration, MotorCalibration, to_toml
 from gateway.settings.calibration import load as load_calibration
-from gateway.settings.config import Config, ConfigError, load, parse
+from gateway.settings.config import Config, ConfigError, load, parse, shipped_dbc
 
 
 def problems(raw):
@@ -48,6 +49,55 @@ def test_every_problem_is_listed_with_its_path():
 )
 def test_the_key_that_was_meant_is_named(raw, meant):
     assert meant in problems(raw)
+
+
+def test_a_problem_has_the_line_of_its_key(tmp_path):
+    path = tmp_path / "train.toml"
+    path.write_text(
+        "[loop]\n# nothing\nrate_hz = 300\n\n[[drive]]\nnode = 1\n[[drive]]\nnode = 2\n"
+        'moter = "bench"\n\n[motor.mine]\nR_s = 1\n'
+    )
+    with pytest.raises(ConfigError) as refused:
+        load(path)
+    text = str(refused.value)
+    assert text.startswith(f"{path}: ")
+    assert "line 3: loop.rate_hz: " in text
+    assert "line 9: drive.1.moter: unknown key; did you mean 'motor'?" in text
+    assert "line 11: motor.mine.L_s: Field required" in text
+
+
+def test_a_mapping_that_does_not_fit_its_dbc_has_file_and_line(tmp_path):
+    path = tmp_path / "train.toml"
+    path.write_text(
+        f'[[drive]]\nnode = 1\n[drive.signals]\ndbc = "{shipped_dbc("traction.dbc")}"\n'
+        '[drive.signals.use]\nSpeed = "Drive1_Motion.Sped"\n'
+    )
+    with pytest.raises(
+        ConfigError, match=r"line 6: drive.0.signals.use.Speed: .* no signal 'Sped'"
+    ) as refused:
+        plans(load(path))
+    assert str(refused.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("content", "cure"),
+    [
+        ("[loop]\n".encode("utf-16"), "UTF-16, .*; save it as UTF-8"),
+        (b"[loop]\nrate_hz = 100\n# \xe9\n", "line 3: byte 0xe9 is no UTF-8; save it as UTF-8"),
+        (b"[loop]\rrate_hz = 100\r", "lines end in CR only; save it with LF"),
+    ],
+)
+def test_another_encoding_is_refused_with_its_cure(content, cure, tmp_path):
+    path = tmp_path / "train.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=cure):
+        load(path)
+
+
+def test_a_mark_before_utf_8_is_read(tmp_path):
+    path = tmp_path / "train.toml"
+    path.write_bytes(b"\xef\xbb\xbf[loop]\r\nrate_hz = 200\r\n")
+    assert load(path).loop.rate_hz == 200
 
 
 def test_consistency_is_checked_across_sections():
@@ -127,7 +177,7 @@ def test_calibration_round_trip_and_mismatches(tmp_path):
     path = tmp_path / "c.toml"
     path.write_text(to_toml(CELLS))
     assert load_calibration(path, (1,), 5.0) == CELLS
-    with pytest.raises(ConfigError, match=r"node 2 .*not calibrated.*; window_s"):
+    with pytest.raises(ConfigError, match=r"node 2 .*not calibrated.*; line \d: window_s"):
         load_calibration(path, (1, 2), 4.0)
     path.write_text("window_s = 5\nextra = 1\n")
     with pytest.raises(ConfigError, match="extra"):
@@ -171,4 +221,7 @@ def test_a_calibration_by_which_no_fault_is_ever_told_is_refused(old, new, said,
     path.write_text(text.replace(old, new))
     with pytest.raises(ConfigError) as refused:
         load_calibration(path, (1,), 5.0)
-    assert any(line.startswith(said) for line in refused.value.problems), refused.value.problems
+    (line,) = refused.value.problems
+    lines = path.read_text().splitlines()
+    number = next(k for k, text in enumerate(lines, 1) if new in text)
+    assert line.startswith(f"line {number}: {said}")

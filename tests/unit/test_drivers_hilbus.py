@@ -120,10 +120,15 @@ def run(monkeypatch):
     return run
 
 
-def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(run):
+def two_drives():
+    """Scenario, configuration and codec."""
     scenario = parse_text(SCENARIO, "nothing")
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
-    codec = bind(config.dbc_path, config.nodes)
+    return scenario, config, bind(config.dbc_path, config.nodes)
+
+
+def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(run):
+    scenario, config, codec = two_drives()
     world = World(scenario, codec)
     shown = []
     outcome = run(world, scenario, config, codec, progress=shown.append)
@@ -148,9 +153,7 @@ class Interrupted(World):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_a_signal_ends_has_no_verdict(run, number):
-    scenario = parse_text(SCENARIO, "nothing")
-    config = parse({"drive": [{"node": 1}, {"node": 2}]})
-    codec = bind(config.dbc_path, config.nodes)
+    scenario, config, codec = two_drives()
     world = Interrupted(scenario, codec)
     world.number = number
     with raised(), pytest.raises(Ended) as ended:
@@ -160,9 +163,7 @@ def test_a_run_that_a_signal_ends_has_no_verdict(run, number):
 
 
 def test_drives_that_fail_give_no_verdict(run):
-    scenario = parse_text(SCENARIO, "nothing")
-    config = parse({"drive": [{"node": 1}, {"node": 2}]})
-    codec = bind(config.dbc_path, config.nodes)
+    scenario, config, codec = two_drives()
     world = World(scenario, codec)
     world.returncode = 2
     with pytest.raises(ChildProcessError, match="exit code 2"):
@@ -170,9 +171,7 @@ def test_drives_that_fail_give_no_verdict(run):
 
 
 def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(run, tmp_path):
-    scenario = parse_text(SCENARIO, "nothing")
-    config = parse({"drive": [{"node": 1}, {"node": 2}]})
-    codec = bind(config.dbc_path, config.nodes)
+    scenario, config, codec = two_drives()
     left = Reporting(tmp_path / "s", config, codec)
     (tmp_path / "s" / "truth.csv").write_text("of another run\n")
     outcome = run(World(scenario, codec), scenario, config, codec, left)
@@ -219,9 +218,7 @@ class Standing(World):
      (Standing, "the gateway missed 5 ticks")],
 )  # fmt: skip
 def test_a_machine_that_cannot_keep_up_is_noticed(run, kind, why):
-    scenario = parse_text(SCENARIO, "nothing")
-    config = parse({"drive": [{"node": 1}, {"node": 2}]})
-    codec = bind(config.dbc_path, config.nodes)
+    scenario, config, codec = two_drives()
     outcome = run(kind(scenario, codec), scenario, config, codec)
     assert re.fullmatch(why, outcome.overload)
     assert outcome.inconclusive == (bool(why) and not outcome.passed)

@@ -1,5 +1,6 @@
 """The examples that ship do what they promise: CI, container, Robot Framework."""
 
+import json
 import os
 import re
 import shlex
@@ -92,3 +93,24 @@ def test_the_robot_suite_passes_and_one_that_is_wrong_fails(examples):
     )
     done = python(examples.parent, *words)
     assert "2 tests, 0 passed, 2 failed" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["replay", "detector"])
+def test_a_notebook_runs_from_its_first_cell_to_its_last(name, examples, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    notebook = json.loads((examples / "notebooks" / f"{name}.ipynb").read_text())
+    names = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+            assert cell["outputs"] == [], "no result of somebody's machine ships"
+    if name == "detector":
+        events = names["own"].events.to_pandas()
+        lost = events[events["state"] == "AdhesionLost"]
+        assert set(lost["drive"]) == {1}
+    else:
+        assert set(names["losses"]["drive"]) == {1}
+        assert all(len(part) >= 3 for part in names["changes"].values())
+        assert names["report"].is_file()
+        assert names["axis"].get_ylabel() == "load / Nm"

@@ -2,9 +2,11 @@
 
 import csv
 import gzip
+import os
 import shutil
 import subprocess
 import sys
+import time
 import tomllib
 
 import numpy as np
@@ -441,6 +443,40 @@ def test_workers_that_are_killed_at_any_moment_cost_nothing(logs, ran, tmp_path,
     assert sorted(p.name for p in (tmp_path / "out" / FOLDER).iterdir()) == sorted(
         one.name for one in planned.jobs
     )
+
+
+def test_a_local_process_that_dask_gave_up_is_started_again():
+    """One that is lost again 15 s after it died, or fails to start: its nanny is closed."""
+    from gateway.fleet.cluster import _client
+
+    with _client(1, None) as client:
+        (nanny,) = client.cluster.workers.values()
+        client.sync(nanny.close)
+        assert client.submit(sum, (1, 2)).result(timeout=60) == 3
+
+
+def test_a_command_that_is_killed_leaves_no_process_and_goes_on_where_it_was(logs, ran, tmp_path):
+    folder, out = tmp_path / "logs", tmp_path / "out"
+    folder.mkdir()
+    for k in range(40):
+        os.link(logs / "logs" / "good.log", folder / f"{k}.log")
+    words = ["fleet", str(folder), "-o", str(out), "-j", "1"]
+    with subprocess.Popen([sys.executable, "-m", "gateway", *words]) as command:
+        while not list((out / FOLDER).glob("*.parquet")):
+            time.sleep(0.005)
+        children = psutil.Process(command.pid).children(recursive=True)
+        command.kill()
+    assert psutil.wait_procs(children, timeout=60)[1] == []
+    assert not (out / "fleet.parquet").exists()
+    before = {path: path.stat().st_mtime_ns for path in (out / FOLDER).glob("*.parquet")}
+    assert main(words) == 0
+    table = rows(out)
+    files = {out / row["file"] for row in table}
+    assert [row["status"] for row in table] == [DONE] * 40
+    assert files == {path for path in (out / FOLDER).iterdir() if path.is_file()}
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    wanted = pq.read_table(ran / rows(ran)[1]["file"])
+    assert all(pq.read_table(path).equals(wanted) for path in files)
 
 
 def test_a_log_of_which_much_was_dropped_counts_and_is_told(logs, tmp_path, capsys):

@@ -177,6 +177,28 @@ def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):
     assert (first.id_offset, second.id_offset) == (0x10, 0x20)
     assert "drive 2        fits: phase currents add up" in said.out
     assert "DOES NOT FIT" not in said.out
+    with (tmp_path / "d.log").open("a") as file:
+        file.write("(9.000000) can1 123#00\n")
+    words = ["init", "--drives", "2", "--dbc", str(tmp_path / "m.dbc"), "--id-offset", "16",
+             "--log", str(tmp_path / "d.log"), "-o", str(tmp_path / "two.toml")]  # fmt: skip
+    assert main(words) == 2
+    assert "has several channels (can0, can1, ..); name one with --log-channel" in (
+        capsys.readouterr().err
+    )
+    assert not (tmp_path / "two.toml").exists()
+    assert main([*words, "--log-channel", "can0"]) == 0
+
+
+def test_signals_that_make_no_message_are_not_called_a_wrong_log(tmp_path, capsys):
+    """Speed alone: `Motion` needs a torque."""
+    write_dbc(tmp_path / "m.dbc", {"Mot": (0x601, 10, [
+        'MotorSpeed : 0|16@1- (0.5,0) [0|0] "rpm"'])})  # fmt: skip
+    lines = "".join(f"({k / 100:.6f}) can0 601#0100\n" for k in range(100))
+    (tmp_path / "d.log").write_text(lines)
+    assert main(["init", "--dbc", str(tmp_path / "m.dbc"), "--log", str(tmp_path / "d.log"),
+                 "-o", str(tmp_path / "t.toml")]) == 2  # fmt: skip
+    out = capsys.readouterr().out
+    assert "DOES NOT FIT: its signals make none of our messages" in out
 
 
 @pytest.mark.parametrize(("raw", "problem"), [

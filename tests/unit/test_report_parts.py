@@ -23,6 +23,7 @@ from gateway.reports.scoring import Judged, first, judge, summary_table
 from gateway.reports.trace import CHUNK, MOST, Envelope, Trace
 from gateway.reports.truth import HEADER, Event, read, rows
 from gateway.settings.config import Config, ConfigError, load, parse
+from sim.ground_truth import COLUMNS
 from tests.ticked import ticks
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -206,6 +207,23 @@ def test_truth_is_read_on_the_logs_clock_or_from_its_first_frame(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("cut", "creep", "says"),
+    [("1", "0.05", True), ("0", "0.05", False), ("1", "-0.3", False), ("1", "", False)],
+)
+def test_a_loss_in_which_the_drive_cut_its_torque_and_never_slid_is_cut(tmp_path, cut, creep, says):
+    """`cut` is never the word for a wheel that slides, nor where nobody knows whether it does."""
+    path = tmp_path / "t.csv"
+    lines = [
+        f"0.01,1,1,0,9,0,1,0,{cut},9,20",
+        *(f"{t},1,1,0,9,1,1,0,{cut},{creep},20" for t in (0.02, 0.03)),
+        "0.04,1,1,0,9,0,1,0,0,9,20", "0.05,1,1,0,9,1,1,0,0,0,20", "0.06,1,1,0,9,0,1,0,0,0,20",
+    ]  # fmt: skip
+    path.write_text("\n".join([",".join(COLUMNS), *lines]) + "\n")
+    truth, _ = read(path, 0.005, 1.0)
+    assert [(e.kind, e.cut) for e in truth.events] == [("loss", says), ("loss", False)]
+
+
+@pytest.mark.parametrize(
     "line", ["1,2", "x,1,1,0,9,0,1,0", "nan,1,1,0,9,0,1,0", "0,1,1,0,9,0,99,0", "0,1,1,0,inf,0,1,0"]
 )
 def test_what_is_no_row_of_truth_is_told_with_its_line(tmp_path, line):
@@ -230,7 +248,7 @@ def test_a_configuration_as_toml_is_the_same_configuration():
     assert len(files) == 8
     for config in (Config(), parse(odd), *map(load, files)):
         text = as_toml(config)
-        again = parse(tomllib.loads(text), base=config.base)
+        again = parse(tomllib.loads(text), config.source, config.base, config.text)
         assert again == config
         assert again.hash24() == config.hash24()
 

@@ -14,6 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gateway
+from bench.real_wheels import RATED_A
+from bench.shrink_recordings import temperatures, wheels
 from dbc.candump.reader import Reader
 from dbc.candump.writer import Writer
 from dbc.codec import bind
@@ -146,6 +148,25 @@ def test_every_change_in_a_storm_is_shrunk_to_the_same_bytes(tmp_path, seed):
         assert left.frames.size < 0.02 * left.total
         shrunk_files.write_test(tmp_path / "out", left, wanted, None, log)
         shrunk_files.read_back(tmp_path / "out", left, config, codec)
+
+
+@pytest.mark.parametrize(("name", "state"), [
+    ("green_table_exp30", "AdhesionLost"), ("F6", "Fault"),
+])  # fmt: skip
+def test_what_others_recorded_is_shrunk_to_the_same_bytes(tmp_path, name, state):
+    """A robot's wheels that come to another floor, a half-bridge that is too hot."""
+    case = temperatures(name, tmp_path) if state == "Fault" else wheels(name, RATED_A, tmp_path)
+    codec = bind(case.config.dbc_path, case.config.nodes)
+    run = gateway.replay(case.path, case.config)
+    events = run.events.to_pylist()
+    row = next(row for row in events if row["state"] == state)
+    kind = FlagKind[row["flag"].upper()]
+    wanted = Wanted(kind, row["drive"], row["t_s"] - events[0]["t_s"])
+    left = shrink(case.path, case.config, codec, wanted, 50_000_000)
+    assert left.flag_frame[:3] in {(f.t_ns, f.can_id, f.data) for f in run.frames}
+    assert (left.word, left.frames.size < 0.02 * left.total) == (state, True)
+    shrunk_files.write_test(tmp_path / "out", left, wanted, None, case.path)
+    shrunk_files.read_back(tmp_path / "out", left, case.config, codec)
 
 
 def prepared(case):

@@ -7,6 +7,8 @@ import pytest
 from dbc.e2e import crc_ok
 from dbc.frame import BRS, FD
 from dbc.spec import Validity
+from sim.ground_truth import COLUMNS
+from sim.scenario import find
 from sim.simulation import Simulation
 from tests.simrun import FD_FILE, codec, run, scenario, values
 
@@ -316,10 +318,23 @@ def test_another_motor():
     assert values(out, "Drive1_StatorVoltages")[-1]["Udc"] == pytest.approx(560.0, abs=8.0)
 
 
+def test_creep_and_train_speed_are_those_of_the_wheel_and_the_train():
+    """Leaves, no limiter: the wheel runs away from the train, which its speed does not show."""
+    world = Simulation(find("runaway_sudden"), codec())
+    rows = [row for row in run(world, 4.0) and world.truth_rows() if row.drive == 1]
+    assert abs(rows[90].creep) < 0.01
+    assert max(row.creep for row in rows) > 0.1
+    for row in rows[:90]:
+        wheel_m_s = row.speed_rad_s * world._plant.train.wheel_radius_m
+        assert wheel_m_s == pytest.approx(row.train_speed_m_s * (1 + row.creep), rel=0.02)
+
+
 def test_truth_as_text():
     simulation = Simulation(scenario(), codec())
     run(simulation, 0.01)
     text = simulation.truth_rows()[0].text()
     assert text[:2] == ("0.010", "1")
-    assert len(text) == 8
+    assert len(text) == len(COLUMNS)
+    assert text[-3] == "0"
+    assert abs(float(text[-2])) < 0.01 < float(text[-1])
     assert float(text[2]) == pytest.approx(25.0, rel=0.01)

@@ -194,6 +194,7 @@ def reproduced(tmp_path_factory):
     return folder, outcome
 
 
+@pytest.mark.thorough
 def test_the_paper_reproduced(reproduced):
     tmp_path, outcome = reproduced
     for name in FIGURES:

@@ -58,12 +58,12 @@ def assess_train(measured, commanded, slow, flag, now, told, rotors, tick_s=TICK
 
 def same(rotors, plain):
     for field, name in SAME.items():
-        np.testing.assert_array_equal(rotors[name], getattr(plain, field), name)
+        same_numbers(rotors[name], getattr(plain, field), name)
     train = plain.train
     for name, wanted in zip(("train_speed", "train_limit"), train.bounds, strict=True):
-        np.testing.assert_array_equal(rotors[name], wanted, name)
+        same_numbers(rotors[name], wanted, name)
     for name in ("unseen_s", "slip", "sliding_s", "sliding", "ahead_s"):
-        np.testing.assert_array_equal(rotors[name], getattr(train, name), name)
+        same_numbers(rotors[name], getattr(train, name), name)
 
 
 def drawn(rng, n, level):

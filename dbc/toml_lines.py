@@ -1,0 +1,64 @@
+"""The line of a TOML file in which a key stands: for messages about it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Final
+
+Path = tuple[str, ...]
+
+_NAME: Final = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
+_KEY: Final = re.compile(rf"\s*({_NAME}(?:\s*\.\s*{_NAME})*)\s*=")
+_HEADER: Final = re.compile(rf"\s*(\[\[?)\s*({_NAME}(?:\s*\.\s*{_NAME})*)\s*\]")
+_PARTS: Final = re.compile(_NAME)
+_WORDS: Final = re.compile(r"[^.\[\]]+")
+
+
+def numbered(problems: Iterable[str], text: str) -> list[str]:
+    """Each problem with the line of its key, or of the table that should have it.
+
+    A problem begins with the path of its key, `drive.0.node: ..` or `event[0].at_s: ..`; one
+    without a path that stands in the text is returned as it is.
+    """
+    lines = lines_of(text)
+    out = []
+    for problem in problems:
+        path = tuple(_WORDS.findall(problem.partition(": ")[0]))
+        while path and path not in lines:
+            path = path[:-1]
+        out.append(f"line {lines[path]}: {problem}" if path else problem)
+    return out
+
+
+def lines_of(text: str) -> dict[Path, int]:
+    """Line of each table and key, by its path; tables of an array are numbered from 0.
+
+    A text of several lines that looks like TOML is taken for TOML: good enough for a message.
+    """
+    lines: dict[Path, int] = {}
+    counts: dict[Path, int] = {}
+    table: Path = ()
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            parts = _parts(header[2])
+            table = ()
+            for k, part in enumerate(parts):
+                table += (part,)
+                # What follows belongs to the last table of an array so far.
+                if table in counts and (header[1] == "[" or k + 1 < len(parts)):
+                    table += (str(counts[table]),)
+            if header[1] == "[[":
+                counts[table] = counts.get(table, -1) + 1
+                lines.setdefault(table, number)
+                table += (str(counts[table]),)
+            lines.setdefault(table, number)
+        elif key := _KEY.match(line):
+            parts = _parts(key[1])
+            for end in range(1, len(parts) + 1):
+                lines.setdefault((*table, *parts[:end]), number)
+    return lines
+
+
+def _parts(dotted: str) -> list[str]:
+    return [part.strip("\"'") for part in _PARTS.findall(dotted)]

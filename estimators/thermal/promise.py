@@ -1,0 +1,128 @@
+"""A stated rate of false alarms, and the limit of the monitor that keeps it.
+
+The limit comes from the largest log odds of a fault in every hour of a fault-free record that
+nothing was learnt from. If hours are exchangeable, the share of later hours that exceed the k-th
+largest of n is Beta(k, n + 1 - k) distributed, whatever the model (Wilks 1941, tolerance limits).
+With fewer hours than that needs, the limit is extrapolated, and nothing is promised: above even
+odds, odds that are e times as large are assumed to be e times as rare, which holds of the posterior
+odds of a model that is right (Ville's inequality).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal.monitor import RAISE, ThermalMonitor, followed
+from estimators.thermal.record import Record, spacing
+
+Array = NDArray[np.float64]
+
+HOUR_S: Final = 3600.0
+BROKEN: Final = 0.05
+"""Share of calibrations whose promise may be broken: one in twenty."""
+STORED: Final = 20
+"""Of the largest hours."""
+CERTAIN: Final = 30.0
+"""Log odds that no limit is above. A sensor that has stepped is reported whatever the limit."""
+
+
+class Hours(NamedTuple):
+    """Fault-free hours: number, and the log odds of the worst (at most `STORED`), descending."""
+
+    number: int
+    largest: tuple[float, ...]
+
+
+class Promise(NamedTuple):
+    """At most `rate` false alarms in 1000 h, and for it the limit of the probability of a fault.
+
+    promised: hours are enough; needed: hours for this rate; least: rate that the hours suffice for.
+    """
+
+    rate: float
+    limit: float
+    promised: bool
+    hours: int
+    needed: int
+    least: float
+
+    def __str__(self) -> str:
+        """One line, as it is printed with every run."""
+        if self.promised:
+            return (
+                f"at most {self.rate:g} false alarms in 1000 h, promised by {self.hours} "
+                f"fault-free hours; limit {self.limit:.6f}"
+            )
+        why = (
+            f"{self.needed} fault-free hours needed, {self.hours} measured, which can promise "
+            f"{self.least:.3g} at best"
+            if self.hours < self.needed
+            else f"too many of the {self.hours} fault-free hours seem to have a fault for certain"
+        )
+        return (
+            f"{self.rate:g} false alarms in 1000 h not promised: {why}; limit {self.limit:.6f} "
+            "extrapolated"
+        )
+
+
+def hourly(monitor: ThermalMonitor, record: Record) -> Array:
+    """(H,) largest log odds of a fault of any motor in each whole hour of a fault-free record.
+
+    monitor: a new one, in which nothing will be reported: what a report changes (`held`) would come
+    into the odds.
+    """
+    monitor.config["raise_probability"] = 1.0
+    judged = monitor.known_motors["unexplained"] == 0
+    per_hour = HOUR_S / spacing(record)
+    hours = int(len(record.at) / per_hour)
+    out = np.full(hours, -CERTAIN)
+    for k, complete in enumerate(followed(monitor, record)):
+        hour = int(k / per_hour)
+        if complete and hour < hours:
+            p = np.where(judged, monitor.motors["fault_probability"], 0.0)
+            stepped = (monitor.offsets[judged] != 0.0).any()
+            out[hour] = max(out[hour], CERTAIN if stepped else log_odds(float(p.max())))
+    return out
+
+
+def log_odds(p: float) -> float:
+    """From -`CERTAIN` to `CERTAIN`."""
+    least = 1.0 / (1.0 + math.exp(CERTAIN))
+    p = min(max(p, least), 1.0 - least)
+    return math.log(p / (1.0 - p))
+
+
+def hours_of(peaks: Array) -> Hours:
+    """Of what `hourly` gave, of one record or of several."""
+    return Hours(len(peaks), tuple(np.sort(peaks)[::-1][:STORED].tolist()))
+
+
+def promise_of(hours: Hours, rate: float) -> Promise:
+    """For `rate` false alarms in 1000 h; hours: one at least."""
+    share = -math.expm1(-rate / 1000.0)
+    n, k = hours.number, _order(hours.number, share)
+    seen = -math.expm1(math.log(BROKEN) / n)
+    odds = hours.largest[k - 1] if k else max(hours.largest[0], 0.0) + math.log(seen / share)
+    probability = 1.0 / (1.0 + math.exp(-min(odds, CERTAIN)))
+    return Promise(
+        rate, max(probability, RAISE), k > 0 and odds < CERTAIN, n,
+        math.ceil(math.log(BROKEN) / math.log1p(-share)), -1000.0 * math.log(BROKEN) / n,
+    )  # fmt: skip
+
+
+def _order(n: int, share: float) -> int:
+    """Largest k (at most `STORED`) whose k-th largest hour of n is a tolerance limit; 0: none.
+
+    That is: in one calibration of twenty at most, more than this share of all hours exceeds it.
+    """
+    term = math.exp(n * math.log1p(-share))
+    below, k = term, 0
+    while below <= BROKEN and k < min(n, STORED):
+        term *= (n - k) / (k + 1) * share / (1.0 - share)
+        k += 1
+        below += term
+    return k
