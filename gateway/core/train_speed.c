@@ -78,6 +78,12 @@ static int is_bad_rail(const struct train_tick *t, int first)
     return 0;
 }
 
+/* What a torque, per unit of the rated one, changes a rotor's speed by in a tick. */
+static double change_in_tick(const struct train_tick *t, const struct rotor *r, double share)
+{
+    return share * r->rated_nm / r->inertia_kg_m2 * t->tick_s;
+}
+
 /* Both bounds of this tick, in the record of the first rotor. */
 static void follow_train(struct train_tick *t, int first)
 {
@@ -86,12 +92,12 @@ static void follow_train(struct train_tick *t, int first)
     train->unseen_s = isnan(lead) ? train->unseen_s + t->tick_s : 0.0;
     if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->effort < LEAST_EFFORT))
         train->train_speed = train->train_limit = lead;
-    const double rate = MOST_ACCELERATION * train->rated_nm / train->inertia_kg_m2;
-    const double most = rate * t->tick_s;
-    const double share = (HILL + ROTATING * t->effort) / MOST_ACCELERATION;
-    const double least = is_bad_rail(t, first) ? smaller(1.0, share) * most : most;
-    train->train_speed = follow_lead(train->train_speed, lead, least, t->braking);
-    train->train_limit = follow_lead(train->train_limit, lead, HARDER * most, t->braking);
+    const double by_motors = smaller(MOST_ACCELERATION, HILL + ROTATING * t->effort);
+    const double share = is_bad_rail(t, first) ? by_motors : MOST_ACCELERATION;
+    const double bound = change_in_tick(t, train, share);
+    const double limit = change_in_tick(t, train, HARDER * MOST_ACCELERATION);
+    train->train_speed = follow_lead(train->train_speed, lead, bound, t->braking);
+    train->train_limit = follow_lead(train->train_limit, lead, limit, t->braking);
 }
 
 void compare_with_train(struct train_tick *t, int first)

@@ -302,10 +302,10 @@ def _compare_speeds(
             train.far[k] = abs(creep) > MOST_APART
     for k in range(flag.shape[0]):
         train.speed[k] /= train.diameter[k]
-    memory, fastest = train.train, train.rated / train.inertia
+    memory = train.train
     train_speed.follow(
         memory, train.motor, train.speed, train.load, flag, (flag == Flag.BAD) & operating,
-        train.apart, fastest, train.learnt_s, effort, braking, tick_s,
+        train.apart, train.rated, train.inertia, train.learnt_s, effort, braking, tick_s,
     )  # fmt: skip
     for k in range(flag.shape[0]):
         others = _speed_of_others(k, braking, train)

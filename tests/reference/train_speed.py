@@ -69,10 +69,10 @@ def _lead(speed: Array, load: Array, sure: Flags, braking: bool) -> float:
 
 def follow(
     memory: TrainSpeed, motor: NDArray[np.int64], speed: Array, load: Array,
-    flag: NDArray[np.int64], lost: Flags, apart: Flags, fastest: Array, learnt_s: Array, effort: float,
-    braking: bool, tick_s: float,
+    flag: NDArray[np.int64], lost: Flags, apart: Flags, rated: Array, inertia: Array,
+    learnt_s: Array, effort: float, braking: bool, tick_s: float,
 ) -> None:  # fmt: skip
-    """One tick. speed, load (N,); fastest (N,) rad/s2 at rated torque on the rotor alone."""
+    """One tick. speed, load (N,); rated torque and inertia of the rotor alone (N,)."""
     for first in np.unique(motor):
         mine = motor == first
         sure = (flag == Flag.GOOD) | (memory.ahead_s > AHEAD_S)
@@ -83,7 +83,7 @@ def follow(
         bad_rail = bool((lost | apart)[mine].any())
         slow = min(FASTEST[0], HILL + ROTATING * effort) if bad_rail else FASTEST[0]
         for bound, share in zip(memory.bounds, (slow, FASTEST[1]), strict=True):
-            most = share * fastest[first] * tick_s
+            most = share * rated[first] / inertia[first] * tick_s
             if forget or math.isnan(bound[first]):
                 bound[first] = lead
             elif not unseen:
