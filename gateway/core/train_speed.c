@@ -92,8 +92,9 @@ static void follow_train(struct train_tick *t, int first)
     train->unseen_s = isnan(lead) ? train->unseen_s + t->tick_s : 0.0;
     if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->effort < LEAST_EFFORT))
         train->train_speed = train->train_limit = lead;
-    const double by_motors = smaller(MOST_ACCELERATION, HILL + ROTATING * t->effort);
-    const double share = is_bad_rail(t, first) ? by_motors : MOST_ACCELERATION;
+    const double by_motors = HILL + ROTATING * t->effort;
+    const int less = is_bad_rail(t, first) && by_motors < MOST_ACCELERATION;
+    const double share = less ? by_motors : MOST_ACCELERATION;
     const double bound = change_in_tick(t, train, share);
     const double limit = change_in_tick(t, train, HARDER * MOST_ACCELERATION);
     train->train_speed = follow_lead(train->train_speed, lead, bound, t->braking);
