@@ -1,13 +1,14 @@
 /* The speed of the train, which no message carries: a bound of it, by the rotors of the last seconds.
  *
- * No train changes its speed faster than by MOST_ACCELERATION, and no wheel that brakes turns faster
+ * No train changes its speed faster than by MOST_ACCELERATION, and on a bad rail by no more than its
+ * motors explain: one that other axles slow harder is `Unknown` then. No wheel that brakes turns faster
  * than its train, none that pulls slower. So the rotor that leads, the fastest in braking, the slowest in
  * traction, is followed at that rate at most: wheels that slide all at once leave this speed behind,
  * whatever their loads answer to their commands. Where the bound has run behind the train it
  * returns CATCH_UP times as fast.
  *
  * Off the bound by MOST_SLIP a wheel is not adhering. Off by SLIDING_SLIP even from a bound that moves
- * HARDER times as fast as any train, and by a change of its own speed, it is lost.
+ * HARDER times as fast, never slower than MOST_ACCELERATION, and by a change of its own speed, it is lost.
  *
  * The term of the field is reference speed. Not in paper `adhesion`. Nothing here can fail: the
  * divisor is an inertia, which is configured, or a speed of at least LEAST_SPEED; comparisons with NaN
@@ -26,11 +27,12 @@
 #define MOST_SLIP    0.06 /* of wheels that adhere, one or two percent of creep of each included, */
 #define SLIP_OF_TWO  0.08 /* of two drives, where the reference has the noise of one */
 #define MOST_DIFFERENCE 0.1 /* and of diameters of which too little has been learnt */
-#define HILL     0.02
-#define ROTATING 0.15
-#define AHEAD_S         0.05
-#define CARRIES         0.5 /* share of the mean load */
-#define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
+/* On a bad rail a train changes its speed by a hill and by its motors: a share of their mean load. */
+#define HILL         0.02
+#define ROTATING     0.15
+#define AHEAD_S      0.05 /* a lost wheel that is caught passes the train by for less, */
+#define CARRIES      0.5  /* or carries less, as a share of the mean load */
+#define SLIDING_SLIP 0.2  /* no creep at which a wheel carries more than it would with less */
 
 /* 1 if drive k shows how fast the train is: it adheres; or it has been ahead of the bound, and carries, for
  * too long to be a lost one that is caught and passes the train by. */
@@ -69,7 +71,7 @@ static double follow_lead(double bound, double lead, double most, int braking)
     return clamp(lead, bound - down, bound + up);
 }
 
-/* 1 if the rail is bad under any of them. */
+/* 1 if the rail is bad under any of them. One that is cut out keeps its flag, and shows no rail. */
 static int is_bad_rail(const struct train_tick *t, int first)
 {
     for (int k = first; k < t->n; k = next_alike(t, k))
@@ -96,7 +98,7 @@ static void follow_train(struct train_tick *t, int first)
     const int less = is_bad_rail(t, first) && by_motors < MOST_ACCELERATION;
     const double share = less ? by_motors : MOST_ACCELERATION;
     const double bound = change_in_tick(t, train, share);
-    const double limit = change_in_tick(t, train, HARDER * MOST_ACCELERATION);
+    const double limit = change_in_tick(t, train, larger(MOST_ACCELERATION, HARDER * share));
     train->train_speed = follow_lead(train->train_speed, lead, bound, t->braking);
     train->train_limit = follow_lead(train->train_limit, lead, limit, t->braking);
 }

@@ -17,8 +17,8 @@ LEAST_EFFORT: Final = 0.1
 """Mean load, per unit of rated torque: wheels that carry less grip."""
 CATCH_UP: Final = 4.0
 """A bound that has run behind its train returns so many times as fast."""
-FASTEST: Final = (0.15, 0.3)
-"""Per unit of rated torque, on the rotor alone: the fastest change of a train, and twice that."""
+FASTEST, HARDER = 0.15, 2.0
+"""Per unit of rated torque, on the rotor alone: the fastest change of a train; the second bound's."""
 UNSEEN_S: Final = 1.0
 MOST_SLIP: Final = 0.06
 SLIP_OF_TWO: Final = 0.08
@@ -29,6 +29,7 @@ SLIDING_SLIP: Final = 0.2
 SLIDING_S: Final = 0.05
 AHEAD_S: Final = 0.05
 HILL, ROTATING = 0.02, 0.15
+"""What motors explain of that fastest change, with the share of the mean load."""
 CARRIES: Final = 0.5
 """Share of the mean load: who carries as much for so long, ahead of the bound, shows the train."""
 LEAST_SPEED_RAD_S: Final = 3.0
@@ -81,8 +82,8 @@ def follow(
         memory.unseen_s[first] = memory.unseen_s[first] + tick_s if unseen else 0.0
         forget = memory.unseen_s[first] > UNSEEN_S or (not unseen and effort < LEAST_EFFORT)
         bad_rail = bool((lost | apart)[mine].any())
-        slow = min(FASTEST[0], HILL + ROTATING * effort) if bad_rail else FASTEST[0]
-        for bound, share in zip(memory.bounds, (slow, FASTEST[1]), strict=True):
+        slow = min(FASTEST, HILL + ROTATING * effort) if bad_rail else FASTEST
+        for bound, share in zip(memory.bounds, (slow, max(FASTEST, HARDER * slow)), strict=True):
             most = share * rated[first] / inertia[first] * tick_s
             if forget or math.isnan(bound[first]):
                 bound[first] = lead
