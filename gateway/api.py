@@ -94,7 +94,7 @@ class Run:
 
     @cached_property
     def flags(self) -> pa.Table:
-        """A row for each tick and drive: t_s, drive, adhesion, thermal, reason."""
+        """A row for each tick and drive: the columns of `flags.csv`."""
         self._ticks.flush()
         return _table(FLAGS_HEADER, _joined(self._flags))
 
@@ -264,7 +264,7 @@ def _table(names: Sequence[str], columns: Sequence[Column | tuple[object, ...]])
     need(("pyarrow",), "parquet", "tables")
     import pyarrow as pa
 
-    words = {"adhesion", "thermal", "reason", "flag", "state", "health", "fault_class"}
+    words = {*FLAGS_HEADER[2:], "flag", "state", "health", "fault_class"}
     columns = columns or ((),) * len(names)
     kinds = [pa.string() if n in words else pa.float64() if n != "drive" else pa.int64()
              for n in names]  # fmt: skip

@@ -10,7 +10,6 @@ May know: names and numbers of events. May not know: bits, buses, how anything i
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -36,6 +35,7 @@ from sim.scenario_schema import (
 )
 
 MAX_DRIVES: Final = 16
+_SCENARIOS: Final = Path(__file__).with_name("scenarios")
 Kind = Literal[
     "adhesion_loss", "rail", "overheating", "cooling_loss", "bearing", "sensor_stuck",
     "sensor_bias", "sensor_lost", "silent", "frame_loss", "corrupt", "phase_open",
@@ -295,7 +295,7 @@ def path_of(name: str) -> Path:
     """The file that `find` reads, for who wants to name it. Nothing is looked at."""
     if Path(name).is_file() or name.endswith(".toml"):
         return Path(name)
-    return Path(str(resources.files("sim").joinpath("scenarios", f"{name}.toml")))
+    return _SCENARIOS / f"{name}.toml"
 
 
 def load(path: Path | str) -> Scenario:
@@ -310,8 +310,7 @@ def load(path: Path | str) -> Scenario:
 
 def builtin_names() -> tuple[str, ...]:
     """Names of the scenarios that come with the package."""
-    files = resources.files("sim").joinpath("scenarios").iterdir()
-    return tuple(sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml")))
+    return tuple(sorted(file.stem for file in _SCENARIOS.glob("*.toml")))
 
 
 def builtin(name: str) -> Scenario:
@@ -320,8 +319,7 @@ def builtin(name: str) -> Scenario:
         raise ScenarioError(
             name, [f"no such file or scenario; there are {', '.join(builtin_names())}"]
         )
-    file = resources.files("sim").joinpath("scenarios", f"{name}.toml")
-    return parse_text(file.read_text(encoding="utf-8"), name)
+    return parse_text((_SCENARIOS / f"{name}.toml").read_text(encoding="utf-8"), name)
 
 
 def _problems(error: ValidationError) -> list[str]:

@@ -26,7 +26,9 @@ FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
 Change = tuple[int, int, str, str]
 """Time in ns, node, flag, what it says from then on."""
 FLAGS, ESTIMATES = "flags.csv", "estimates.csv"
-FLAGS_HEADER = ("t_s", "drive", "adhesion", "thermal", "reason")
+FLAGS_HEADER = (
+    "t_s", "drive", "adhesion", "thermal", "reason", "adhesion_reason", "thermal_reason",
+)  # fmt: skip
 ESTIMATES_HEADER = (
     "t_s", "drive", "health", "speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability",
     "nis", "fault_class", "mixed_c", "maisd_k", "degradation_k_h", "degradation_sigma_k_h",
@@ -78,11 +80,14 @@ _REASONS, _HEALTH, _CLASSES = (
 def flag_columns(ticks: Ticks) -> tuple[Coded, ...]:
     """What follows the drive in `flags.csv`, each (K N,)."""
     drives = ticks.drives.reshape(-1)
-    states, why = drives["flag"]["state"], drives["adhesion_reason"]
+    states = drives["flag"]["state"]
+    adhesion, thermal = drives["adhesion_reason"], drives["thermal_reason"]
     return (
         Coded(states[:, FlagKind.ADHESION], _ADHESION),
         Coded(states[:, FlagKind.THERMAL], _FAULT),
-        Coded(np.where(why, why, drives["thermal_reason"]), _REASONS),
+        Coded(np.where(adhesion, adhesion, thermal), _REASONS),
+        Coded(adhesion, _REASONS),
+        Coded(thermal, _REASONS),
     )
 
 

@@ -165,9 +165,7 @@ class Config(Strict):
 
 def shipped_dbc(name: str) -> Path:
     """Path of a DBC that ships with the package."""
-    import dbc
-
-    return Path(dbc.__path__[0]) / name
+    return Path(__file__).parents[2] / "dbc" / name
 
 
 _KEY: Final = re.compile(r"[A-Za-z]\w*: ")

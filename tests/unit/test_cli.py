@@ -79,7 +79,18 @@ def test_replay_writes_flags_twice_the_same(folder, capsys):
     for name in ("flags.csv", "estimates.csv", "flags.svg", "drive2.svg"):
         assert (folder / "r0" / name).stat().st_size > 1000
     flags = list(csv.DictReader((folder / "r0" / "flags.csv").read_text().splitlines()))
-    assert list(flags[0]) == ["t_s", "drive", "adhesion", "thermal", "reason"]
+    assert list(flags[0]) == [
+        "t_s", "drive", "adhesion", "thermal", "reason", "adhesion_reason", "thermal_reason",
+    ]  # fmt: skip
+    for f in flags:
+        assert (f["thermal"] == "Unknown") == (f["thermal_reason"] != "None")
+        assert (f["adhesion"] == "Unknown") == (f["adhesion_reason"] != "None")
+        assert (
+            f["reason"]
+            == f["thermal_reason" if f["adhesion_reason"] == "None" else "adhesion_reason"]
+        )
+    assert {"Starting", "None"} <= {f["adhesion_reason"] for f in flags}
+    assert {f["thermal_reason"] for f in flags} == {"Starting", "Config"}
     assert {f["adhesion"] for f in flags if f["drive"] == "2"} == {
         "Unknown", "Adhering", "AdhesionLost",
     }  # fmt: skip

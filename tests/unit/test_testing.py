@@ -43,8 +43,8 @@ def test_no_such_fault(inverter):
 """
 
 
-def run_pytest(folder, *words):
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
+def run_pytest(folder, *words, python=()):
+    command = [sys.executable, *python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
     return subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=300, check=False
     )
@@ -154,6 +154,39 @@ def test_flags_that_know_for_less_than_is_expected_are_a_failure(tmp_path):
     done = run_pytest(tmp_path, "--hil-expect-known", "most")
     assert done.returncode == 4
     assert "--hil-expect-known: 'most' is no percentage" in done.stderr
+
+
+OF_MINE = """
+import sim
+
+def test_both_are_there(inverter, gateway_flags):
+    import dbc
+    import sim as again
+    assert (sim.MINE, dbc.MINE) == (1, 2)
+    assert again is sim
+    inverter.lose_adhesion(drive=2, depth=1.0)
+    gateway_flags.expect_lost(drive=2, within_ms=200)
+
+def test_again(inverter, gateway_flags):
+    test_both_are_there(inverter, gateway_flags)
+"""
+
+
+@pytest.mark.parametrize(
+    ("python", "scenarios", "passed"), [(["-P"], ["hil_wet_rail.toml"], 4), ([], [], 2)],
+    ids=["pytest, a scenario first", "python -m pytest, their sim first"],
+)  # fmt: skip
+def test_files_of_a_user_may_have_the_names_of_our_packages(tmp_path, python, scenarios, passed):
+    """`-P`: the folder comes onto the path with its first test in Python, as of `pytest`."""
+    (tmp_path / "sim.py").write_text("MINE = 1")
+    (tmp_path / "dbc.py").write_text("MINE = 2")
+    (tmp_path / "estimators.py").write_text("raise SystemExit('mine')")
+    (tmp_path / "test_suite.py").write_text(OF_MINE)
+    for name in scenarios:
+        (tmp_path / name).write_text((EXAMPLE / name).read_text())
+    done = run_pytest(tmp_path, python=python)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"{passed} passed" in done.stdout
 
 
 def test_options_that_do_not_go_together_are_refused(tmp_path):

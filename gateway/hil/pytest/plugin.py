@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from gateway.hil.pytest.options import bus_of, expected_known
+from gateway.hil.pytest.own_packages import load_hidden
 
 if TYPE_CHECKING:
     from gateway.hil.pytest.bench import HilBench
@@ -63,6 +64,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
     """Simulated inverters and a gateway, all flags good; `@pytest.mark.hil(..)` says which."""
+    load_hidden(request.path.parent)
     from gateway.hil.fitting import fitting
     from gateway.hil.pytest.bench import HilBench, scenario_of
     from sim.scenario import ScenarioError, find
@@ -136,6 +138,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
         file_path.match(glob) for glob in parent.config.getini("hil_scenarios")
     ):
         return None
+    load_hidden(file_path.parent)
     from gateway.hil.pytest.scenarios import ScenarioFile
 
     return ScenarioFile.from_parent(parent, path=file_path)
