@@ -57,6 +57,7 @@ def test_hours_with_a_fault_for_certain_promise_nothing():
     assert "too many of the 90 fault-free hours" in str(promise)
     assert promise.limit < 1.0
     assert promise_of(hours(93, (CERTAIN, 1.0)), ONE_IN_TWENTY).promised, "one of them is allowed"
+    assert odds(promise_of(hours(400, (9.0,)), ONE_IN_TWENTY)) == pytest.approx(9.0), "stored: one"
 
 
 def test_no_limit_is_below_the_usual_one_and_few_hours_are_stored():
@@ -225,7 +226,9 @@ def test_a_rate_is_checked_on_trains(capsys, tmp_path):
     for wrong, hint in (
         (more, "add --base bench"),
         (["--base", "bench", "--seeds", "0", "--world", "other"], "one motor each"),
-        (["--base", "bench", "--judged-hours", "1"], "give more"),
+        (["--base", "bench", "--judged-hours", "1"], "which a run has, or more"),
+        (["--base", "bench", "--judged-hours", "inf"], "which a run has, or more"),
+        (["--base", "bench", "--method", "model"], "takes no --kind, --method"),
         (["--base", "bench", "--false-alarms", "0"], "expected 0.001"),
     ):
         assert main([*words, *wrong]) == 2
