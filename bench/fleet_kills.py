@@ -67,7 +67,7 @@ def main(count: int, kills: int) -> None:
             process = draw.choice(alive)
             process.kill()
             killed.append(process.pid)
-        if len(rows) % (count // 10) == 0:
+        if len(rows) % max(count // 10, 1) == 0:
             print(f"  {len(rows)} logs, {len(killed)} kills, {time.perf_counter() - began:.0f} s",
                   flush=True)  # fmt: skip
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
-Path = tuple[str, ...]
+KeyPath = tuple[str, ...]
 
 _NAME: Final = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
 _KEY: Final = re.compile(rf"\s*({_NAME}(?:\s*\.\s*{_NAME})*)\s*=")
@@ -31,14 +31,14 @@ def numbered(problems: Iterable[str], text: str) -> list[str]:
     return out
 
 
-def lines_of(text: str) -> dict[Path, int]:
+def lines_of(text: str) -> dict[KeyPath, int]:
     """Line of each table and key, by its path; tables of an array are numbered from 0.
 
     A text of several lines that looks like TOML is taken for TOML: good enough for a message.
     """
-    lines: dict[Path, int] = {}
-    counts: dict[Path, int] = {}
-    table: Path = ()
+    lines: dict[KeyPath, int] = {}
+    counts: dict[KeyPath, int] = {}
+    table: KeyPath = ()
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
             parts = _parts(header[2])

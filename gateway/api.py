@@ -161,7 +161,8 @@ def replay(
 
     config: a file, a `Config`, or None for three drives on nodes 1 to 3. channel: of several.
     detector: a name of `detectors`, or one of your own: called with an `Evidence`, it returns an
-    `Opinion`. start: a start record of `traction-gateway shrink`, from which the gateway goes on.
+    `Opinion`; the configuration then names `median`. start: a start record of `traction-gateway
+    shrink`, from which the gateway goes on.
     Raises ConfigError or BadLogError, whose text says what to do.
     """
     own = None if detector is None or isinstance(detector, str) else detector
@@ -169,9 +170,10 @@ def replay(
     used, codec = _prepared(config, named)
 
     def begin_at(first_ns: int) -> Gateway:
-        if start is not None:
-            return start_record.resumed(Path(start).read_bytes(), str(start), used, codec)
-        gateway = Gateway(used, codec, first_ns)
+        if start is None:
+            gateway = Gateway(used, codec, first_ns)
+        else:
+            gateway = start_record.resumed(Path(start).read_bytes(), str(start), used, codec)
         if own is not None:
             gateway.adhesion.detector = own
         return gateway

@@ -206,7 +206,7 @@ def _run_command(words: list[str]) -> int:
         if not _is_users(error):
             raise
         text = " ".join(str(error).split())
-        if isinstance(error, FileExistsError | NotADirectoryError):
+        if isinstance(error, FileExistsError | NotADirectoryError) and error.filename:
             text = f"{error.filename}: is no folder; name another one"
         text = printable(text, len(text))  # it may quote names of files
         logs.say(text if form == "json" else f"traction-gateway: {text}", form)

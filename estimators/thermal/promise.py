@@ -104,7 +104,7 @@ def hours_of(peaks: Array) -> Hours:
 def promise_of(hours: Hours, rate: float) -> Promise:
     """For `rate` false alarms in 1000 h; hours: one at least."""
     share = -math.expm1(-rate / 1000.0)
-    n, k = hours.number, _order(hours.number, share)
+    n, k = hours.number, _order(hours, share)
     seen = -math.expm1(math.log(BROKEN) / n)
     odds = hours.largest[k - 1] if k else max(hours.largest[0], 0.0) + math.log(seen / share)
     probability = 1.0 / (1.0 + math.exp(-min(odds, CERTAIN)))
@@ -114,14 +114,15 @@ def promise_of(hours: Hours, rate: float) -> Promise:
     )  # fmt: skip
 
 
-def _order(n: int, share: float) -> int:
-    """Largest k (at most `STORED`) whose k-th largest hour of n is a tolerance limit; 0: none.
+def _order(hours: Hours, share: float) -> int:
+    """Largest k, of the hours that are stored, whose k-th largest is a tolerance limit; 0: none.
 
     That is: in one calibration of twenty at most, more than this share of all hours exceeds it.
     """
+    n = hours.number
     term = math.exp(n * math.log1p(-share))
     below, k = term, 0
-    while below <= BROKEN and k < min(n, STORED):
+    while below <= BROKEN and k < min(n, len(hours.largest)):
         term *= (n - k) / (k + 1) * share / (1.0 - share)
         k += 1
         below += term

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import GOOD, positive_seconds
+from gateway.commands.common import GOOD
 from gateway.commands.progress import Progress, track
 from gateway.io.console import console
 from gateway.io.whole_file import write_text
@@ -36,9 +36,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--false-alarms", type=float, metavar="N", help="check a stated rate of N "
                        "in 1000 h instead: each train gets its limit from some fault-free hours, "
                        "and false alarms are counted in others; needs --base bench")  # fmt: skip
-    group.add_argument("--limit-hours", type=positive_seconds, default=4.0, metavar="H",
+    group.add_argument("--limit-hours", type=float, default=4.0, metavar="H",
                        help="for --false-alarms: hours for the limit (default: 4)")  # fmt: skip
-    group.add_argument("--judged-hours", type=positive_seconds, default=50.0, metavar="H",
+    group.add_argument("--judged-hours", type=float, default=50.0, metavar="H",
                        help="for --false-alarms: hours in which they are counted "
                        "(default: 50)")  # fmt: skip
 
@@ -108,9 +108,12 @@ def _promise(options: argparse.Namespace, seeds: Sequence[int]) -> int:
 
     if not 0.001 <= options.false_alarms <= 1000.0:
         raise ConfigError("--false-alarms", ["expected 0.001 to 1000 in 1000 h"])
+    if options.kind or options.method:
+        raise ConfigError("--false-alarms", ["takes no --kind, --method"])
     how = Split(options.false_alarms, options.limit_hours, options.judged_hours)
-    if min(how[1:]) < RUN_H:
-        raise ConfigError("--limit-hours, --judged-hours", [f"a run has {RUN_H:g} h: give more"])
+    if not all(RUN_H <= hours < 1e6 for hours in how[1:]):
+        problem = f"expected {RUN_H:g} h, which a run has, or more"
+        raise ConfigError("--limit-hours, --judged-hours", [problem])
     each = splits(seeds, options.world, how, options.jobs)
     found = [kept for kept in track(each, "trains", len(seeds)) if kept is not None]
     if not found:

@@ -70,7 +70,6 @@ def _start(options: argparse.Namespace) -> Started:
     from gateway.io.permission import Mode, allowed
     from gateway.io.realtime import Ticker
     from gateway.io.scheduling import be_realtime, described, use_given
-    from gateway.settings.calibration import promise_lines
 
     config, codec = prepare(options.config, signature=options)
     mode = Mode.LISTEN if options.listen_only else Mode.RUN
@@ -95,8 +94,6 @@ def _start(options: argparse.Namespace) -> Started:
     _rehearse(config, codec)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)
-    for line in promise_lines(gateway.calibration):
-        log.info("promise: %s", line)
     return Started(config, transport, ticker, gateway)
 
 
@@ -208,7 +205,11 @@ def _display() -> Any:
 
 
 def summary(gateway: Any, seen: Any) -> None:
-    """Counters at the end, on stdout."""
+    """Counters at the end, and what was promised, on stdout."""
+    from gateway.settings.calibration import promise_lines
+
+    for line in promise_lines(gateway.calibration):
+        print(f"promise: {line}")
     counts = gateway.inbox.counts
     print("frames: " + (", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v) or "none"))
     status = seen.status

@@ -213,7 +213,7 @@ def _range(path: Path) -> tuple[float, float]:
         file.seek(max(0, path.stat().st_size - _LONGEST))
         last = file.read().decode("utf-8", "replace").splitlines()[-1]
     try:
-        return first.t_s, _row(last.split(",")[: len(HEADER)]).t_s
+        return first.t_s, _row(last.split(",")).t_s
     except (ValueError, KeyError):
         raise ConfigError(str(path), ["its last line is no row of truth"]) from None
 

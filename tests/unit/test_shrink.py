@@ -207,6 +207,26 @@ def test_a_gateway_goes_on_from_a_start_record_as_it_would_have(case, ticks):
     assert_goes_on(*prepared(case), ticks)
 
 
+def test_a_detector_of_ones_own_goes_on_from_a_start_record(tmp_path):
+    config, codec, frames = prepared("loss_median")
+    at_ns = frames.t_ns.item(0) + TICK_NS
+    _, stopped = sent_by(config, codec, frames.pick(frames.t_ns <= at_ns))
+    (tmp_path / "start.bin").write_bytes(start_bytes(stopped, state_of(stopped)))
+    rest = frames.pick(frames.t_ns > stopped.now_ns)
+    with Writer(tmp_path / "rest.log") as writer:
+        for k in range(rest.size):
+            writer.write(rest.frame(k))
+    asked = []
+
+    def silent(evidence):
+        asked.append(evidence)
+        return gateway.Opinion(np.zeros(3), evidence.usable, 0.0)
+
+    start = tmp_path / "start.bin"
+    gateway.replay(tmp_path / "rest.log", config, detector=silent, start=start)
+    assert asked
+
+
 @given(needed=st.sets(st.integers(0, 59)), size=st.integers(0, 60))
 def test_ddmin_keeps_what_is_needed_and_nothing_else(needed, size):
     wanted = np.array(sorted(k for k in needed if k < size), dtype=np.int64)

@@ -57,6 +57,7 @@ def test_hours_with_a_fault_for_certain_promise_nothing():
     assert "too many of the 90 fault-free hours" in str(promise)
     assert promise.limit < 1.0
     assert promise_of(hours(93, (CERTAIN, 1.0)), ONE_IN_TWENTY).promised, "one of them is allowed"
+    assert odds(promise_of(hours(400, (9.0,)), ONE_IN_TWENTY)) == pytest.approx(9.0), "stored: one"
 
 
 def test_no_limit_is_below_the_usual_one_and_few_hours_are_stored():
@@ -189,13 +190,16 @@ def test_hours_are_stored_and_a_stated_rate_moves_the_limit(config):
     assert promising.checksum() == found.checksum()
 
 
-def test_check_and_replay_print_what_is_promised(config, capsys, pytestconfig):
+def test_check_replay_and_run_print_what_is_promised(config, capsys, pytestconfig):
     path = config(1, measured())
     assert main(["check", str(path), "--no-timing"]) == 0
     words = "1 false alarms in 1000 h not promised: 2996 fault-free hours needed, 12 measured"
     assert words in capsys.readouterr().out
     log = str(pytestconfig.rootpath / "tests" / "golden" / "loss.log.gz")
     main(["replay", log, "--config", str(path)])
+    assert f"promise: thermal: {words}" in capsys.readouterr().out
+    live = ["run", "-i", "virtual", "-c", "promise", "--quiet", "--duration", "0.05"]
+    assert main([*live, "--config", str(path)]) == 0
     assert f"promise: thermal: {words}" in capsys.readouterr().out
     path = config(None, measured())
     main(["replay", log, "--config", str(path)])
@@ -214,8 +218,8 @@ def test_a_rate_without_hours_or_of_another_method_is_refused(config, capsys):
 
 
 def test_a_rate_is_checked_on_trains(capsys, tmp_path):
-    words = ["evaluate", "thermal", "--false-alarms", "500", "--limit-hours", "2"]
-    more = ["--judged-hours", "2", "--seeds", "3", "-o", str(tmp_path)]
+    words = ["evaluate", "thermal", "--limit-hours", "2", "--false-alarms"]
+    more = ["500", "--judged-hours", "2", "--seeds", "3", "-o", str(tmp_path)]
     assert main([*words, *more, "--base", "bench"]) == 0
     out = capsys.readouterr().out
     assert "| 3 | extrapolated |" in out
@@ -224,9 +228,11 @@ def test_a_rate_is_checked_on_trains(capsys, tmp_path):
     assert out.strip() in (tmp_path / "promise.md").read_text()
     for wrong, hint in (
         (more, "add --base bench"),
-        (["--base", "bench", "--seeds", "0", "--world", "other"], "one motor each"),
-        (["--base", "bench", "--judged-hours", "1"], "give more"),
-        (["--base", "bench", "--false-alarms", "0"], "expected 0.001"),
+        (["500", "--base", "bench", "--seeds", "0", "--world", "other"], "one motor each"),
+        (["500", "--base", "bench", "--judged-hours", "1"], "which a run has, or more"),
+        (["500", "--base", "bench", "--judged-hours", "inf"], "which a run has, or more"),
+        (["500", "--base", "bench", "--method", "model"], "takes no --kind, --method"),
+        (["0", "--base", "bench"], "expected 0.001"),
     ):
         assert main([*words, *wrong]) == 2
         assert hint in " ".join(capsys.readouterr().err.split())
