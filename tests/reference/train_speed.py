@@ -18,7 +18,7 @@ LEAST_EFFORT: Final = 0.1
 CATCH_UP: Final = 4.0
 """A bound that has run behind its train returns so many times as fast."""
 FASTEST, HARDER = 0.15, 2.0
-"""Per unit of rated torque, on the rotor alone: the fastest change of a train; the second bound's."""
+"""Per unit of rated torque on the rotor alone: the fastest change of a train; of the second bound."""
 UNSEEN_S: Final = 1.0
 MOST_SLIP: Final = 0.06
 SLIP_OF_TWO: Final = 0.08
@@ -38,9 +38,9 @@ LEAST_SPEED_RAD_S: Final = 3.0
 class TrainSpeed(NamedTuple):
     """Memory, (N,): bounds (2, N), rad/s, and unseen_s stand at the first of each motor.
 
-    ahead_s: for how long a rotor whose diameter is known has been ahead of the first bound, and has
-    carried. slip: how far a rotor is beyond the first bound, for the side of the effort; sliding_s: for how
-    long it has been `SLIDING_SLIP` beyond the second one; sliding: too long, and away.
+    slip: how far a rotor is beyond the first bound, for the side of the effort; sliding_s: for how
+    long it has been `SLIDING_SLIP` beyond the second one; sliding: too long, and away; ahead_s: for
+    how long one whose diameter is known has been ahead of the first bound, and has carried.
     """
 
     bounds: Array
@@ -60,7 +60,7 @@ def start(n: int) -> TrainSpeed:
 
 
 def _lead(speed: Array, load: Array, sure: Flags, braking: bool) -> float:
-    """Of one motor: who leads of those that are a measure, else of all that carry with the train."""
+    """Of one motor: who leads of those that are sure, else of all that carry with the train."""
     tracked = (load <= 0.0 if braking else load >= 0.0) & np.isfinite(speed)
     chosen = tracked & sure if (tracked & sure).any() else tracked
     if not chosen.any():
