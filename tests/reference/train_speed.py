@@ -18,7 +18,7 @@ LEAST_EFFORT: Final = 0.1
 CATCH_UP: Final = 4.0
 """A bound that has run behind its train returns so many times as fast."""
 FASTEST, HARDER = 0.15, 2.0
-"""Per unit of rated torque on the rotor alone: the fastest change of a train; of the second bound."""
+"""Per unit of rated torque on the rotor alone: fastest change of a train; of the second bound."""
 UNSEEN_S: Final = 1.0
 MOST_SLIP: Final = 0.06
 SLIP_OF_TWO: Final = 0.08
