@@ -15,6 +15,7 @@
 #include "estimators/detect/command_response.h"
 #include "estimators/detect/switching.h"
 #include "estimators/numbers.h"
+#include "gateway/core/rotors.h"
 
 #define MOST_LOAD 2.0  /* per unit of rated torque; no drive carries more */
 #define SURE      0.99 /* probability of a loss that needs no second look */
@@ -33,6 +34,13 @@
  * largest command in a second, but not by more than this share of its own. */
 #define RETURN_PER_S 1.0
 #define RETURN_MOST  0.3
+/* A lost wheel has gripped again once it carries what is asked. What its load lacks after that its
+ * drive's own slip control may hold back: for so long at most, and for so long once the load is
+ * back. It ends where the wheel slides again. */
+#define HELD_BACK_S 2.0
+#define LOAD_BACK_S 0.1
+#define BACK        0.9  /* probability of adhering with which the load is back */
+#define SLIDES      0.05 /* creep, for the side of the effort; of slow wheels 3 % is noise */
 
 /* How far the load of a drive that takes its torque back may be off what its last command says,
  * standard deviation. */
@@ -165,6 +173,43 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
     return p;
 }
 
+/* 1 if drive k is known again: it may have run away meanwhile, and gripped. */
+static int is_known_again(const struct adhesion *a, int k, int bad)
+{
+    const int learnt = a->rotors[k].learnt_s >= DIAMETER_ROUGH_S;
+    return a->known[k] && a->loads[k].known_since_ns == NO_TIME && learnt && !bad;
+}
+
+/* For how long drive k may be held back by its own slip control. p: its verdict. */
+static void follow_regrip(struct adhesion *a, int k, double p, int bad)
+{
+    double *left_s = &a->loads[k].regripped_s;
+    const struct rotor *r = &a->rotors[k];
+    const double adhering = a->known[k] ? a->switching->adhering[k] : 0.0;
+    const double slip = a->common < 0.0 ? -r->creep : r->creep;
+    const double times = adhering >= BACK ? HELD_BACK_S / LOAD_BACK_S : 1.0;
+    const int carries = adhering >= GRIPS && p <= a->rules->clear_probability;
+    const int returns = bad || (r->apart && *left_s > 0.0);
+    if (is_known_again(a, k, bad) || (carries && returns))
+        *left_s = HELD_BACK_S;
+    else if (r->away || !(slip <= SLIDES))
+        *left_s = 0.0;
+    else
+        *left_s = larger(0.0, *left_s - times * a->tick_s);
+}
+
+/* The verdict on a drive that may be held back: of one that has come back from a slide the regrip clears the
+ * flag; after that nobody knows what the rail would carry. uncertain: that of its rotor alone. */
+static double held_back(struct adhesion *a, int k, double p, int bad, uint8_t uncertain)
+{
+    struct rotor *r = &a->rotors[k];
+    if (!(a->loads[k].regripped_s > 0.0) || r->away || p <= a->rules->clear_probability)
+        return p;
+    const int clears = bad && r->apart;
+    r->uncertain = clears ? uncertain : 1;
+    return clears ? 0.0 : UNDECIDED;
+}
+
 void judge_by_memory(struct adhesion *a, const struct drive_status *status, int little,
                      int64_t now_ns)
 {
@@ -179,7 +224,10 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
             continue;
         }
         const int bad = status[k].flag[FLAG_ADHESION].state == FLAG_BAD;
+        const uint8_t uncertain = r->uncertain;
         double p = verdict(a, k, all, any, bad, &r->uncertain);
+        follow_regrip(a, k, p, bad);
+        p = held_back(a, k, p, bad, uncertain);
         a->loss_known[k] = (uint8_t)is_comparable(a, k, all, little);
         /* Nor is a drive lost that carries more than it is asked to. */
         if ((now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {

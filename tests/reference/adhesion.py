@@ -77,9 +77,8 @@ class Adhesion:
         self.responses = np.zeros(n, COMMAND_RESPONSE)
         self.differences, self.own = self._learnt(spread), self._learnt(spread)
         self.flag = np.zeros(1, FLAG)
-        self.ratio, self.load = np.ones(n), np.zeros(n)
-        self.asked = np.ones(n)
-        self.flagged_ns, self.known_ns = [NEVER] * n, [NEVER] * n
+        self.ratio, self.load, self.asked = np.ones(n), np.zeros(n), np.ones(n)
+        self.flagged_ns, self.known_ns, self.held_s = [NEVER] * n, [NEVER] * n, [0.0] * n
         self.speed, self.gain = [math.nan] * n, [0.0] * n
         self.any_flagged_ns = self.learn_ns = NEVER
         self.smoothed, self.comparable = math.nan, False
@@ -234,6 +233,7 @@ class Adhesion:
                 self.lost_known.append(True)
                 self.severe.append(False)
                 continue
+            uncertain = int(rotor["uncertain"])
             p = lost[k] + adhering[k] * everyone
             if rotor["away"] and valid[k]:
                 p = max(p, alone[k])
@@ -248,15 +248,34 @@ class Adhesion:
                     rotor["uncertain"] = 1
             elif is_asked and not valid[k] and not rotor["away"]:
                 p = lib.UNDECIDED
-            idle = usable[k] and not is_asked
+            grips = adhering[k] * self.known[k]
+            p = self._held_back(k, p, grips, flag[k] == Flag.BAD, uncertain)
             said = self.known[k] and (compared[k] or is_asked)
             slow = not (valid[k] and alone[k] > 0.5) and not abs(self.smoothed) >= ACCUSING_LOAD
-            bare = idle or ((little or slow) and everyone == 0.0)
+            bare = (usable[k] and not is_asked) or ((little or slow) and everyone == 0.0)
             self.lost_known.append(bool(said and not (bare and lost[k] >= 0.7)))
             p = self._doubted(rotor, p, now)
             self.lost.append(p)
             self.severe.append(bool(self.known[k] and p >= 0.99))
         self.alone, self.each = alone, each
+
+    def _held_back(self, k: int, p: float, grips: float, bad: bool, uncertain: int) -> float:
+        """What a drive lacks after a regrip, or when it is known again, accuses nobody."""
+        rotor, low = self.rotors[k], self.rules.clear_probability
+        slip = math.copysign(1.0, self.common or 1.0) * rotor["creep"]
+        again = self.known[k] and self.known_ns[k] == NEVER and rotor["learnt_s"] >= 0.5
+        back = bad or (rotor["apart"] and self.held_s[k] > 0.0)
+        if (again and not bad) or (back and p <= low and grips >= 0.5):
+            self.held_s[k] = 2.0
+        elif rotor["away"] or not slip <= 0.05:
+            self.held_s[k] = 0.0
+        else:
+            self.held_s[k] = max(0.0, self.held_s[k] - (20 if grips >= 0.9 else 1) * self.tick_s)
+        if self.held_s[k] == 0.0 or rotor["away"] or p <= low:
+            return p
+        clears = bad and rotor["apart"]
+        rotor["uncertain"] = uncertain if clears else 1
+        return 0.0 if clears else float(lib.UNDECIDED)
 
     def _rolls(self, k: int) -> bool:
         """Whether a drive, asked for nothing, turns on with the others and carries nothing."""
@@ -268,10 +287,10 @@ class Adhesion:
 
     def _doubted(self, rotor: Any, p: float, now: int) -> float:
         doubt = now < rotor["unreliable_until_ns"] or rotor["uncommanded_s"] > 0.0
-        if doubt and p > lib.UNDECIDED:
-            rotor["uncertain"] = 1
-            return float(lib.UNDECIDED)
-        return p
+        if not (doubt and p > lib.UNDECIDED):
+            return p
+        rotor["uncertain"] = 1
+        return float(lib.UNDECIDED)
 
     def _follow_brakes(self) -> None:
         """Creep that each wheel has if not brakes but a loss of all slows its rotor."""
