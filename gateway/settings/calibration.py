@@ -28,6 +28,10 @@ COVERAGE = Coverage._fields
 """Keys of a motor's heat that say how far its filters hold."""
 ADDED = ("own_k", "held_back_h", "largest_log_odds")
 """Keys of the fleet's heat that older files do not have."""
+NO_HEAT = (
+    "the calibration has no thermal model, so nothing can be promised; leave this key out, or "
+    "calibrate with a model"
+)
 NO_HOURS = (
     "the calibration has no fault-free hours that nothing was learnt from; set this key and run "
     "'traction-gateway calibrate' with one log more"
@@ -128,9 +132,14 @@ class Calibration(Deferred):
         return self._promise
 
     def promising(self, rate: float) -> Calibration:
-        """With the limit for so many false alarms in 1000 h. Raises ConfigError without hours."""
+        """With the limit for so many false alarms in 1000 h.
+
+        Raises ConfigError without a model, or without hours.
+        """
         heat = self.heat
-        if heat is None or heat.held_back_h is None or heat.largest_log_odds is None:
+        if heat is None:
+            raise ConfigError("thermal.false_alarms_per_1000_h", [NO_HEAT])
+        if heat.held_back_h is None or heat.largest_log_odds is None:
             raise ConfigError("thermal.false_alarms_per_1000_h", [NO_HOURS])
         out = self.model_copy()
         hours = Hours(heat.held_back_h, heat.largest_log_odds)

@@ -190,6 +190,13 @@ def test_hours_are_stored_and_a_stated_rate_moves_the_limit(config):
     assert promising.checksum() == found.checksum()
 
 
+def test_without_a_model_nothing_is_promised_and_the_reason_is_named():
+    with pytest.raises(ConfigError, match="has no thermal model"):
+        cells().model_copy(update={"heat": None}).promising(300.0)
+    with pytest.raises(ConfigError, match="no fault-free hours"):
+        cells().promising(300.0)
+
+
 def test_check_replay_and_run_print_what_is_promised(config, capsys, pytestconfig):
     path = config(1, measured())
     assert main(["check", str(path), "--no-timing"]) == 0
