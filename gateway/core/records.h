@@ -1504,7 +1504,7 @@ struct drive_load {
     double p_response;       /* probability of a loss by its own command */
     double last_speed;       /* of the tick before, rad/s; NaN unless the drive is judged alone */
     double last_spin_up;     /* torque that accelerated the rotor in the tick before */
-    double regripped_s;      /* s that its own slip control may still hold it back for; 0: it does not */
+    double regripped_s;      /* s yet for its own slip control to hold it back; 0: it does not */
     int64_t flagged_ns;      /* last tick with its adhesion flag bad; NO_TIME: none */
     int64_t known_since_ns;  /* NO_TIME: its load is not known */
     uint8_t derating_active; /* 1: its flag is, or was just now, bad: it takes back its torque */
