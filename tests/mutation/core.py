@@ -209,6 +209,7 @@ JUDGED = (
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",
     "gateway/core/switching_loss.c",
+    "gateway/core/train_speed.c",
     "gateway/core/table_text.c",
     "gateway/core/temperature.c",
     "gateway/core/thermal.c",
