@@ -55,7 +55,7 @@ def _readable(problems):
 
 
 def _placed(problems, data, model, apart):
-    """Each begins with the path of a key, where the file is TOML at all."""
+    """Each begins with the path of a key, after its line if that is known, if the file is TOML."""
     try:
         text = data.decode()
         if model is Scenario:
@@ -70,7 +70,10 @@ def _placed(problems, data, model, apart):
     if not all(_BARE.fullmatch(key) and len(key) < 100 for key in known):
         return
     for problem in problems:
-        head = re.match(rf"[A-Za-z0-9_-]+(?=[{apart}])", problem)
+        line = re.match(r"line (\d+): ", problem)
+        assert not line or 1 <= int(line[1]) <= text.count("\n") + 1, problem
+        rest = problem[line.end() :] if line else problem
+        head = re.match(rf"[A-Za-z0-9_-]+(?=[{apart}])", rest)
         assert head, problem
         assert head[0] in known, problem
 

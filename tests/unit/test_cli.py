@@ -260,9 +260,12 @@ def test_an_option_given_twice_is_refused(folder, capsys):
     assert "argument --detector: given twice; give it once" in capsys.readouterr().err
 
 
-def test_a_folder_that_is_a_file_is_one_line(folder, capsys):
-    assert main(["replay", str(folder / "s.log"), "--results", "/dev/full"]) == 2
-    assert "/dev/full: is no folder; name another one" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("name", "said"), [("/dev/full", "File exists"), ("/dev/full/r", "is no folder")]
+)
+def test_a_folder_that_is_a_file_is_one_line(folder, capsys, name, said):
+    assert main(["replay", str(folder / "s.log"), "--results", name]) == 2
+    assert f"{name}: {said}; name another one" in capsys.readouterr().err
 
 
 def test_a_log_with_cr_line_ends_is_refused_with_the_cure(folder, capsys, tmp_path):
