@@ -52,7 +52,7 @@ static double creep_of(const struct adhesion *a, int k, double train)
 {
     const struct rotor *r = &a->rotors[k];
     const int back = r->way * way_of(&a->rotor_inputs[k]) < 0;
-    return (back ? -r->speed : r->speed) / train - 1.0;
+    return (back ? -fabs(r->speed) : fabs(r->speed)) / train - 1.0;
 }
 
 /* Of the motor of rotor `first`. */

@@ -753,8 +753,8 @@ struct filter_settings {
 struct rotor {
     double rated_nm;            /* rated torque */
     double inertia_kg_m2;       /* of the rotor */
-    double speed;               /* of this tick */
-    double load;                /* of this tick, in the direction of the train */
+    double speed;               /* of this tick; negative: turns backwards under its train */
+    double load;                /* of this tick, in the direction in which it turns */
     double slow_speed;          /* smoothed, to find the acceleration, */
     double quick_speed;         /* and less smoothed */
     double acceleration_torque; /* that accelerates the rotor with its train */

@@ -304,11 +304,18 @@ static void find_apart(struct train_tick *t, int first)
     }
 }
 
+/* Speed in the direction of the train: negative for a wheel that brakes without grip until it turns
+ * backwards. A drive may be mounted the other way round: its own sign while it adhered decides. */
+static double along_train(const struct rotor *r)
+{
+    return r->way != 0 ? r->way * r->speed : fabs(r->speed);
+}
+
 /* Rotors are compared with those of the same motor. */
 static void compare_alike(struct train_tick *t)
 {
     for (int k = 0; k < t->n; k++)
-        t->rotor[k].speed = fabs(t->rotor[k].speed);
+        t->rotor[k].speed = along_train(&t->rotor[k]);
     for (int k = 0; k < t->n; k++) {
         if (t->rotor[k].motor != k)
             continue;

@@ -55,7 +55,7 @@ def estimate(given: Wheels, memory: Memory, tick_s: float) -> Array:
     sure = given.good & given.tracked
     memory.way[:] = np.where(np.isnan(reference), 0, np.where(sure, way, memory.way))
     sign = np.where(memory.way * way < 0, -1.0, 1.0)
-    creep = sign * given.speed / reference - 1.0
+    creep = sign * np.abs(given.speed) / reference - 1.0
     sigma = np.full(len(creep), np.nan)
     for first in np.unique(given.motor):
         mine = given.motor == first

@@ -96,7 +96,8 @@ class Train(NamedTuple):
     meanwhile; away: left the others for the side that the effort takes it to, and is not back yet;
     uncertain: it may be running away, or braked by something else; doubt_ns: until then its
     currents accuse nobody; uncommanded_s, odd_s: for how long, odd: too long; above: carries more
-    than its command and than the others, in this tick; speed, load: of one tick; train: its speed.
+    than its command and than the others, in this tick; speed, load: of one tick; train: its speed;
+    way: sign of a rotor's speed when it adhered, 0 if unknown (given).
     """
 
     rated: Array
@@ -125,6 +126,7 @@ class Train(NamedTuple):
     speed: Array
     load: Array
     train: train_speed.TrainSpeed
+    way: Ints
 
 
 def start(motors: Sequence[Motor]) -> Train:
@@ -143,6 +145,7 @@ def start(motors: Sequence[Motor]) -> Train:
         unknown[4], np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n), unknown[1], np.zeros(n),
         np.zeros(n), far, apart, np.zeros(n), np.zeros(n), away, uncertain, doubt_ns, np.zeros(n),
         np.zeros(n), odd, above, unknown[2], unknown[3], train_speed.start(n),
+        np.zeros(n, dtype=np.int64),
     )  # fmt: skip
 
 
@@ -292,7 +295,8 @@ def _compare_speeds(
 ) -> None:
     """Who turns faster or slower than the others; learns diameters while nobody slips."""
     for k in range(flag.shape[0]):
-        train.speed[k] = abs(train.speed[k])
+        speed = train.speed[k]
+        train.speed[k] = train.way[k] * speed if train.way[k] else abs(speed)
     for k in range(flag.shape[0]):
         train.far[k] = False
         if train.learnt_s[k] < DIAMETER_FIRST_S:

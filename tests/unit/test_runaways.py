@@ -67,6 +67,22 @@ def test_a_motor_measured_a_little_unlike_the_others():
     assert longest_good(flags, speeds, 0, 2) <= MOST_TICKS
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_those_that_hold_are_known_beside_one_that_brakes_until_it_turns_backwards(way):
+    """Backwards it becomes as fast as they are, and faster: still no measure for them."""
+    lost = {"at_s": 0.8, "for_s": 1.2, "drive": 2, "kind": "adhesion_loss", "depth": 0.7}
+    run = scenario(
+        duration_s=2.5, slip_limiter="none", event=[lost], load={"torque_nm": -way * 16.4},
+        motion={"start": "rolling", "effort_nm": 24.0, "speed": way * 160.0},
+    )  # fmt: skip
+    flags, speeds = flags_and_speeds(run, codec())
+    stops = 80 + int(speeds[80:200, 1].argmin())
+    assert speeds[stops, 1] < 2.0 < speeds[stops, 0]
+    assert (speeds[stops:, 1] > speeds[stops:, 0]).sum() > 10, "faster than the train"
+    assert (flags[50:, [0, 2]] == Flag.GOOD).all()
+    assert (flags[100:, 1] == Flag.BAD).all(), "it is not back yet"
+
+
 @pytest.mark.parametrize(
     ("motor", "nm", "speed"),
     [("bench", 18.0, 320.0), ("bench", 18.0, 400.0), ("traction_350kw", 480.0, 800.0)],

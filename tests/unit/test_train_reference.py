@@ -151,6 +151,7 @@ def test_any_course_of_a_train(seed, n, ticks, step):
             # In ticks, of one nanosecond here.
             plain.doubt_ns[:] = now + doubt.integers(0, 30, n)
             rotors["unreliable_until_ns"] = plain.doubt_ns
+            plain.way[:] = rotors["way"] = doubt.choice([0, 1, 1, 1, -1], n)
         reference.assess_train(measured, commanded, sent, flag, now, TICK_S, told, plain)
         assess_train(*again[:4], now, again[4], rotors)
         same(rotors, plain)
