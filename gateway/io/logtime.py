@@ -37,11 +37,13 @@ KEPT: Final = 100
 class Steady(NamedTuple):
     """Frames whose time does not go back.
 
-    dropped: of every one that was left out, how many of the block's stand before it.
+    dropped: of every one that was left out, how many of the block's stand before it; near: none was
+    left out, and each is at most `NEAR_NS` after the one before it.
     """
 
     block: Block
     dropped: NDArray[np.int64]
+    near: bool = False
 
 
 class Back(NamedTuple):
@@ -100,14 +102,16 @@ class LogTime:
 
     def _near(self, t_ns: NDArray[np.int64]) -> int:
         """How many of these stamps go on from the last one and from one another."""
+        if not 0 <= t_ns.item(0) - self._latest_ns <= NEAR_NS:
+            return 0
         # A step back has the highest bit.
-        far = np.diff(t_ns, prepend=self._latest_ns).view(np.uint64) > NEAR_NS
-        far |= t_ns > LATEST_NS - self._shift_ns
-        return int(np.argmax(far)) if far.any() else t_ns.size
+        far = (t_ns[1:] - t_ns[:-1]).view(np.uint64) > NEAR_NS
+        near = 1 + int(far.argmax()) if far.any() else t_ns.size
+        return int(np.searchsorted(t_ns[:near], LATEST_NS - self._shift_ns, "right"))
 
     def _go_on(self, block: Block) -> Steady:
         self._latest_ns = block.t_ns.item(-1)
-        return Steady(_shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64))
+        return Steady(_shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64), near=True)
 
     def _sorted_out(self, block: Block) -> Steady:
         """Frame by frame. The last ones wait where they are not decided upon."""

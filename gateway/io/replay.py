@@ -202,12 +202,12 @@ def replay(
         return done
 
     held = EMPTY
-    for new, without in clock.steady(chain([block], stream)):
+    for new, without, near in clock.steady(chain([block], stream)):
         if isinstance(sink, Briefly) and sink.read is not None:
             sink.read(new)
         dropped = without + held.size
         block = join(held, new)
-        even = not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all())
+        even = near or (not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all()))
         if even and isinstance(sink, Briefly):
             block = block.part(many(block, sink), block.size)
         done, stamps = 0, block.t_ns.tolist()
