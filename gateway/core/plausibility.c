@@ -42,11 +42,17 @@ static int has_moved(double now, double before)
     return fabs(now - before) > larger(SPEED_MOVED * fabs(now), SPEED_MOVED_RAD_S);
 }
 
+/* 1 if the filter of a drive tracks its rotor. From too few samples per revolution it may as well track
+ * an alias of it. */
+static int is_tracked(const struct motion_monitor *m, int64_t k)
+{
+    return m->estimates[k].health == HEALTH_TRACKING && !m->motions[k].aliasing;
+}
+
 /* Rotor speed by the currents, rad/s; NaN: not known. */
 static double own_speed(const struct motion_monitor *m, int64_t k)
 {
-    const double w_e = m->filters[k].x[2];
-    return m->estimates[k].health == HEALTH_TRACKING ? w_e / m->motions[k].pole_pairs : NAN;
+    return is_tracked(m, k) ? m->filters[k].x[2] / m->motions[k].pole_pairs : NAN;
 }
 
 /* 1 if the measured speeds of all other drives, at least one, have changed. */
@@ -122,12 +128,11 @@ static void note_motion(struct motion_monitor *m, int64_t r, double own, int64_t
 /* 1 if the load of the filter is another than that of the observer. */
 static int is_load_off(const struct motion_monitor *m, int64_t k)
 {
-    const struct drive_estimate *estimate = &m->estimates[k];
-    if (estimate->health != HEALTH_TRACKING || !is_observer_settled(&m->motions[k]))
+    if (!is_tracked(m, k) || !is_observer_settled(&m->motions[k]))
         return 0;
     const double observed = m->motions[k].observer.T_L;
     const double limit = LOAD_OFF * m->checks[k].rated_nm + LOAD_OFF_RELATIVE * fabs(observed);
-    return fabs(estimate->load_nm - observed) > limit;
+    return fabs(m->estimates[k].load_nm - observed) > limit;
 }
 
 static void check_reading(struct motion_monitor *m, int64_t r, int64_t *row, int64_t now_ns)

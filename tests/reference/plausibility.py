@@ -398,9 +398,11 @@ def _note_motion(
         check.others[k, j] = measured[j]
 
 
-def _own_speed(k: int, filters: Columns, told: Told, limits: PlausibilityLimits) -> float:
-    """Rotor speed by the currents, rad/s; NaN where it is not known."""
-    if told.health[k] != _TRACKING:
+def _own_speed(
+    k: int, filters: Columns, told: Told, motion: Memory, limits: PlausibilityLimits
+) -> float:
+    """Rotor speed by the currents, rad/s; NaN where it is not known, or may be an alias."""
+    if told.health[k] != _TRACKING or motion.beyond[k]:
         return math.nan
     return float(filters.x[k, _W_E] / limits.pole_pairs[k])
 
@@ -437,11 +439,12 @@ def check_values(
             r, now, samples, drives, readings, told.health[k], filters, told.flux[k],
             check, limits,
         )  # fmt: skip
-        own = _own_speed(k, filters, told, limits)
+        own = _own_speed(k, filters, told, motion, limits)
         _note_motion(r, readings, measured, slow, own, check)
         held = _motion_held(k, now, measured, slow, own, check, limits.rated_nm[k])
         _count(held, 0, IN_A_ROW, check.motion_held, k, now, check)
-        load = told.load[k] if told.health[k] == _TRACKING else math.nan
+        tracks = told.health[k] == _TRACKING and not motion.beyond[k]
+        load = told.load[k] if tracks else math.nan
         off = _load_off(k, load, motion, limits.settled_readings, limits.rated_nm[k])
         _count(off, 0, LOADS_IN_A_ROW, check.load_off, k, now, check)
     for k in range(measured.shape[0]):

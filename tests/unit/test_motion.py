@@ -36,7 +36,9 @@ def with_motion(w_e, torque=20.0):
     return add
 
 
-@pytest.mark.parametrize("w_e", [1.5 * LIMIT_W_E, 3.0 * LIMIT_W_E, -3.0 * LIMIT_W_E, 880.0])
+@pytest.mark.parametrize(
+    "w_e", [1.5 * LIMIT_W_E, 3.0 * LIMIT_W_E, -3.0 * LIMIT_W_E, 880.0, 1950.0, -2200.0]
+)
 def test_beyond_ten_samples_per_revolution_the_observer_answers(w_e):
     view = bench(w_e).run(80, with_motion(w_e))
     assert [d.adhesion for d in view.drives] == [Flag.GOOD] * 3
