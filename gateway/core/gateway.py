@@ -6,12 +6,13 @@ frames of other makers' drives, emergency messages, a detector that is not in th
 authentication.
 
 Five laws:
-1. One `now` per tick, an integer of nanoseconds, passed in. Nobody below `drivers/` reads a
+1. One `now` per tick, an integer of nanoseconds, passed in. Nothing below `gateway/io` reads a
    clock, a socket, an environment variable or a global random generator.
 2. Same frames and same nows give the same bytes out.
 3. `step` never raises on wire data or numbers: wire faults are counted, numeric faults reset
    that drive's filter and set its health. Exceptions mean a programming or configuration error.
-4. Missing is not NaN. Every batch carries freshness and age. NaN anywhere means diverged.
+4. Missing is not NaN: every input has a time stamp, and its age shows that it is missing. Inside the
+   core NaN means "not known"; no NaN is sent, and none makes a flag good.
 5. The truth never meets the estimate: `sim/` and `estimators/` do not import one another;
    parameters are frozen.
 """

@@ -45,12 +45,12 @@ _REASONS: Final = {
     ),
     Reason.STALE: (
         REASONS[Reason.STALE],
-        "is the drive powered, and on this bus? `candump` shows its identifiers, `check` limits",
+        "check that the drive is powered and on this bus: `candump` shows identifiers, `check` limits",
         "the drive's CAN connector is off; its messages come ten times slower than the DBC says",
     ),
     Reason.CORRUPTED: (
         REASONS[Reason.CORRUPTED],
-        "check termination, shield and bit rate; map a drive that sends no checksum without E2E",
+        "check termination, shield, bit rate; if a drive sends no checksum, map it without E2E",
         "a bus with one terminator; a drive that computes another CRC",
     ),
     Reason.SEQUENCE: (
@@ -65,7 +65,7 @@ _REASONS: Final = {
     ),
     Reason.NOT_AVAILABLE: (
         REASONS[Reason.NOT_AVAILABLE],
-        "let the drive send the signal, or leave it out of the mapping; is it in operation?",
+        "let the drive send the signal, or do not map it; check that the drive is in operation",
         "`TorqueCommand` is 0x7FFF; `State` is Off",
     ),
     Reason.DIVERGED: (
@@ -75,12 +75,12 @@ _REASONS: Final = {
     ),
     Reason.TOO_FEW_DRIVES: (
         REASONS[Reason.TOO_FEW_DRIVES],
-        "drive with more than a tenth of rated torque; let the drives send `TorqueCommand`",
+        "run with more than a tenth of rated torque; let the drives send `TorqueCommand`",
         "the train coasts and slows down; one of two drives is silent",
     ),
     Reason.OVERRUN: (
         REASONS[Reason.OVERRUN],
-        "use `run --realtime` and a processor of its own; `check` prints the timing budget",
+        "use `run --realtime` and a dedicated processor; `check` prints the timing budget",
         "another program loads the gateway's processor",
     ),
     Reason.INTRUDER: (
@@ -103,7 +103,7 @@ _HEALTH: Final = {
     ),
     Health.CONVERGING: (
         "the estimator has started and has not settled",
-        "wait, and drive: at standstill the rotor's angle is not observable",
+        "wait, and let the rotor turn: at standstill its angle is not observable",
         "the first tenth of a second after a start",
     ),
     Health.TRACKING: (
@@ -129,7 +129,7 @@ _HEALTH: Final = {
 }
 _FAULTS: Final = {
     FaultClass.UNKNOWN: (
-        "not known; if a flag is raised: heat or a sensor, undecided which",
+        "not known; if a flag is raised, the cause is heat or a sensor",
         "`calibrate`; look at the motor and at its sensors",
         "no calibration; too few temperatures",
     ),
@@ -150,7 +150,7 @@ _FAULTS: Final = {
         "a bearing without grease",
     ),
     FaultClass.SENSOR_BIAS: (
-        "a sensor reads too high or too low; it is not the motor",
+        "a sensor reads too high or too low; the motor is not the cause",
         "replace or recalibrate the sensor that `FaultSensor` names",
         "contact resistance in the wiring of a PT100",
     ),

@@ -15,7 +15,7 @@ EXITS = """
 
 | code | meaning |
 |---|---|
-| 0 | success; also of `run` and `monitor` when a signal stops them |
+| 0 | success; `run` and `monitor` end with it, too, when a signal stops them |
 | 1 | an expectation failed, or more than 1 % of a log was dropped |
 | 2 | bad input |
 | 3 | inconclusive: `hil` on a bus that this machine could not keep up with |
