@@ -118,6 +118,7 @@ lint-python: $(VENV)/.ready
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m dbc.generate --check
+	$(BIN)/python -m tests.docs.prose
 
 # A second compiler, the clang in ziglang, with the same warnings; a minute.
 clang: $(VENV)/.ready

@@ -1,0 +1,101 @@
+"""Prose linter: proselint on the pages, and a style of our own (`python -m tests.docs.prose`).
+
+The style: at most `SHORT` words between two stops on a page that a visitor reads, `LONG` elsewhere;
+and none of `PRIVATE`, words and turns that stand for a term of the field.
+"""
+
+import re
+import sys
+from pathlib import Path
+
+from proselint.checks import __register__ as theirs
+from proselint.registry import CheckRegistry
+from proselint.registry.checks import Check, CheckResult
+from proselint.registry.checks.types import Existence
+from proselint.tools import LintFile
+
+ROOT = Path(__file__).parents[2]
+SHORT, LONG = 25, 40
+PRIVATE = (
+    r"(?:for|of|by|to|with) who", r"who asks?", r"(?:is|are) (?:said|told)",
+    r"(?:that|which|what) (?:is|are) none", r"hears?", r"heard", r"believes?", r"believed", r"doubts",
+    r"forgets?",
+)
+"""Regular expressions, in any case of letters."""
+CHECKS = {
+    **dict.fromkeys(("archaism", "lexical_illusions", "malapropisms", "needless_variants", "nonwords",
+                     "oxymorons", "redundancy", "uncomparables", "weasel_words"), True),
+    "house": True,
+}
+"""Of proselint those that find errors, not taste."""
+STOP = re.compile(r"[.!?:;](?=\s|$)|\n\s*\n|\n\s*(?:[-*+]|\d+\.)\s")
+WORD = re.compile(r"[A-Za-z][\w'-]*")
+
+
+def pages():
+    """Path of each page, and how many words it may have between two stops."""
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))):
+        short = path.parent == ROOT or path.parent.name == "tutorials"
+        yield path, SHORT if short else LONG
+
+
+def blank(match):
+    """As many spaces, so that what follows stays where it is."""
+    return re.sub(r"[^\n]", " ", match[0])
+
+
+def prose(text):
+    """The sentences of a page: no code, tables, headings, pictures or targets of links."""
+    for fence in (r"```.*?```", r"<!--.*?-->"):
+        text = re.sub(fence, blank, text, flags=re.DOTALL)
+    text = re.sub(r"^ *(?:[|#<!]|    ).*$", blank, text, flags=re.MULTILINE)
+    text = re.sub(r"`[^`]*`", lambda match: "x" * len(match[0]), text)
+    return re.sub(r"\]\([^)]*\)", blank, text)
+
+
+def too_long(most):
+    """A check of proselint: where a sentence has more words than that."""
+
+    def check(text, rule):
+        begin = 0
+        for stop in [*STOP.finditer(text), None]:
+            end = stop.start() if stop else len(text)
+            words = list(WORD.finditer(text, begin, end))
+            if len(words) > most:
+                yield CheckResult(rule.path, f"{len(words)} words without a stop, at most {most}",
+                                  (words[0].start(), end), None)  # fmt: skip
+            begin = stop.end() if stop else end
+
+    return check
+
+
+def style(most):
+    """Our own checks."""
+    turns = (turn.replace(" ", r"\s+") for turn in PRIVATE)
+    private = Existence(tuple(f"(?i:{turn})" for turn in turns))
+    return (
+        Check(private, path="house.words", message="a private turn, '{}': the field's term?"),
+        Check(too_long(most), path="house.length"),
+    )
+
+
+def lint(name, text, most):
+    """What is wrong with a page, a line each."""
+    registry = CheckRegistry()
+    registry.checks[:] = [*theirs, *style(most)]
+    found = LintFile(name, prose(text)).lint({"max_errors": 1000, "checks": CHECKS})
+    return [f"{name}:{at.pos[0]}: {at.check_result.message}" for at in found]
+
+
+def main():
+    """Lint all pages; exit code 1 if anything is wrong."""
+    found = [
+        line for path, most in pages()
+        for line in lint(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8"), most)
+    ]  # fmt: skip
+    print(*found, sep="\n", end="\n" if found else "")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()
