@@ -17,17 +17,15 @@ from proselint.tools import LintFile
 ROOT = Path(__file__).parents[2]
 SHORT, LONG = 25, 40
 PRIVATE = (
-    r"(?:for|of|by|to|with) who", r"who asks?", r"(?:is|are) (?:said|told)",
-    r"(?:that|which|what) (?:is|are) none", r"hears?", r"heard", r"believes?", r"believed", r"doubts",
-    r"forgets?",
-)
+    r"(?:for|of|by|to|with) who", r"who asks?", r"(?:is|are) (?:said|told)", r"doubts", r"hears?",
+    r"(?:that|which|what) (?:is|are) none", r"heard", r"believes?", r"believed", r"forgets?",
+)  # fmt: skip
 """Regular expressions, in any case of letters."""
-CHECKS = {
-    **dict.fromkeys(("archaism", "lexical_illusions", "malapropisms", "needless_variants", "nonwords",
-                     "oxymorons", "redundancy", "uncomparables", "weasel_words"), True),
-    "house": True,
-}
-"""Of proselint those that find errors, not taste."""
+ERRORS = (
+    "archaism", "lexical_illusions", "malapropisms", "needless_variants", "nonwords", "oxymorons",
+    "redundancy", "uncomparables", "weasel_words",
+)  # fmt: skip
+"""Those checks of proselint that find errors, not taste."""
 STOP = re.compile(r"[.!?:;](?=\s|$)|\n\s*\n|\n\s*(?:[-*+]|\d+\.)\s")
 WORD = re.compile(r"[A-Za-z][\w'-]*")
 
@@ -83,7 +81,9 @@ def lint(name, text, most):
     """What is wrong with a page, a line each."""
     registry = CheckRegistry()
     registry.checks[:] = [*theirs, *style(most)]
-    found = LintFile(name, prose(text)).lint({"max_errors": 1000, "checks": CHECKS})
+    found = LintFile(name, prose(text)).lint(
+        {"max_errors": 1000, "checks": dict.fromkeys((*ERRORS, "house"), True)}
+    )
     return [f"{name}:{at.pos[0]}: {at.check_result.message}" for at in found]
 
 

@@ -29,7 +29,7 @@ def test_a_bad_sentence_is_found_in_its_line(text, what):
     "text",
     [
         f"```\n{WORDS} frame frame\n```", f"| {WORDS} | is said |", f"# {WORDS}",
-        f"A good `{WORDS} that is none` sentence.", f"A good [sentence](docs/{'is-said/' * 30}x.md).",
+        f"A good `{WORDS} that is none` sentence.", f"A good [one](docs/{'is-said/' * 30}x.md).",
         f"{WORDS[:75]}: {WORDS[:75]}; {WORDS[:75]}.", f"- {WORDS[:75]}\n- {WORDS[:75]}",
     ],
 )  # fmt: skip
