@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 WITHOUT = "nothing was written; --without-model learns how motors differ, for that method"
 MARGIN = 1.5
-"""Limits stand this far above the largest value of a fault-free run."""
+"""Factor from the largest value of a fault-free run to the limit."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read the temperatures through the gateway's own inbox and write the calibration.
 
-    Raises ConfigError, and writes nothing, where the logs do not give what the method needs.
+    Raises ConfigError, and writes nothing, if the logs do not contain what the method needs.
     """
     from gateway.core.thermal import NO_MODEL
     from gateway.io.extras import pictures
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     if options.pictures is not None:
         pictures("--pictures")
     config, codec = prepare(options.config)
-    # Whatever was learnt before says nothing now.
+    # An earlier calibration must not affect this one.
     thermal = config.thermal.model_copy(update={"calibration": None})
     config = config.model_copy(update={"thermal": thermal})
     rate = config.thermal.false_alarms_per_1000_h
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> None:
-    """One log's temperatures, as the gateway receives them, into the learner."""
+    """Feed one log's temperatures, as the gateway receives them, into the learner."""
     from gateway.core.gateway import Gateway
     from gateway.io.replay import Briefly, replay
     from gateway.study.temperature_reader import TemperatureReader

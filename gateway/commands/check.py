@@ -62,13 +62,13 @@ def _rpm(text: str) -> float:
 
 
 def more_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of a bus: only they need python-can."""
+    """Options of a bus; they are apart because only they need python-can."""
     add_bus(parser)
 
 
 @leanstart.unsearched()
 def run(options: argparse.Namespace) -> int:
-    """Print what will be; exit 2 if it cannot work, or would never tell a loss."""
+    """Print the results; exit 2 if the configuration cannot work, or would never find a loss."""
     from gateway.commands import check_loss
     from gateway.commands.check_signals import signal_lines
     from gateway.mapping import plan as foreign
@@ -132,7 +132,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
-    """The losses; with them bus load and timing, where the simulator has such messages."""
+    """Simulate the losses; also print bus load and timing, if these messages can be simulated."""
     from gateway.commands import check_loss, check_timing
     from gateway.hil.measured import Measured
 
@@ -152,7 +152,7 @@ def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
 
 
 def _print_machine(options: argparse.Namespace, config: Config) -> None:
-    """Settings of the kernel and of the link, each with its cure; they refuse nothing."""
+    """Print settings of kernel and link, each with its cure; none changes the exit code."""
     from gateway.commands.run import bus_options
     from gateway.io import interface_settings as settings
 
@@ -170,7 +170,7 @@ def _print_machine(options: argparse.Namespace, config: Config) -> None:
 
 
 def _heartbeats(config: Config) -> str:
-    """What the gateway expects of the drives' heartbeats."""
+    """Text: which heartbeats the gateway expects of the drives."""
     from gateway.core.gateway import HEARTBEAT_LIMIT_NS
     from gateway.core.supervision import TIMEOUT_PERIODS
 
@@ -192,13 +192,13 @@ def _authentication(config: Config) -> str:
     try:
         flag_key(config.authentication.key, config.base)
     except ConfigError as error:
-        # Keys are where the gateway runs; a configuration is checked anywhere.
+        # Keys exist only where the gateway runs; a configuration may be checked anywhere.
         return f"authenticated; no key here: {error.problems[0]}"
     return "authenticated, the key can be used"
 
 
 def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
-    """Longest time one frame occupies the bus, s; worst-case stuffing.
+    """Longest time for which one frame occupies the bus, s, with worst-case stuffing.
 
     Classic: 47 + 8 n bits and a stuff bit per four of the first 34 + 8 n. FD: the arbitration
     part and the end of frame at the nominal rate (29 bits and worst stuffing), the data part
@@ -214,7 +214,7 @@ def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
 
 
 def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> float:
-    """Percent of the bus that the configured drives and the gateway take.
+    """Bus load of the configured drives and the gateway, %.
 
     planned: drives of other makers, of which only the messages in use are known.
     """

@@ -19,7 +19,7 @@ MOST_FAULTS: Final = 20
 
 
 def device_lines(path: Path, config: Config) -> Iterator[str]:
-    """Of one file. Raises ConfigError where it cannot be read."""
+    """Lines of one EDS or DCF. Raises ConfigError if it cannot be read."""
     device = device_of(path)
     at = f"node {device.node}" if device.node else "node 1, because the file names none"
     yield f"device         {printable(path.name)}: {device.name}, {at}"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def print_table(config: Config, codec: Codec, rated_rpm: float, output: Path | None) -> list[str]:
-    """Print it, write the files. Gives what is wrong: motors of which no loss will be found."""
+    """Print the table and write the files; return the motors with no loss that will be found."""
     from gateway.hil import forecast_table
     from gateway.hil.forecast_table import WITHIN_MS
 

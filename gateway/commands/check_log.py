@@ -1,4 +1,4 @@
-"""`check --log`: which units, signs and motor parameters fit a recording."""
+"""`check --log`: whether units, signs and motor parameters fit a recording."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LOOKED_AT_S: Final = 60.0
 SUB_SAMPLES: Final = 8
 CHECKED: Final = 100
-"""Frames of a message of which length and checksum are checked."""
+"""Number of frames of each message whose length and checksum are checked."""
 _RPM: Final = np.pi / 30.0
 _Array = NDArray[np.float64]
 _Vector = NDArray[np.complex128]
@@ -37,7 +37,7 @@ Columns = dict[str, _Array]
 def print_findings(
     path: Path, line: str | None, channel: str | None, config: Config, codec: Codec
 ) -> list[str]:
-    """A line for each thing compared; returns what does not fit. Raises as a replay does."""
+    """Print a line for each comparison; return what does not fit. Raises as a replay does."""
     from dbc.logs.opening import open_reader
     from gateway.commands.common import pattern_of
     from gateway.io.replay import OneChannel
@@ -65,13 +65,13 @@ def print_findings(
 
 
 class _Values:
-    """Decoded columns of the first minute, by message of ours."""
+    """Decoded columns of the first minute, by our messages."""
 
     def __init__(self, config: Config, codec: Codec) -> None:
         planned = plans(config)
         self._codec = fitted(codec, planned)
         self._derived: dict[int, list[int]] = {drive.node: [] for drive in config.drive}
-        """Times of samples of which one phase is minus the sum of the others, by node."""
+        """Times of samples in which one phase is computed from the others, by node."""
         note = self._note_derived
         self._translator = Translator(planned, self._codec, note) if planned else None
         self._parts: dict[int, list[tuple[_Array, _Array]]] = {}
@@ -79,9 +79,9 @@ class _Values:
         self._own = {drive.node for drive in config.drive if drive.signals is None}
         """Drives that send our messages."""
         self._checked: Counter[int] = Counter()
-        """Frames of which length and checksum were checked, by message."""
+        """Number of frames whose length and checksum were checked, by message."""
         self._bad: dict[int, Counter[str]] = {}
-        """Of these the ones that a replay rejects, by message and cause."""
+        """Number of checked frames that a replay rejects, by message and cause."""
 
     def add_all(self, blocks: Iterable[Block], progress: Progress) -> None:
         first_ns: int | None = None
@@ -135,7 +135,7 @@ class _Values:
                 bad["a wrong checksum: the drive has another data ID, or no E2E protection"] += 1
 
     def unusable(self, node: int) -> list[fit.Finding]:
-        """Messages of which a replay rejects more than half."""
+        """Findings: messages of which a replay rejects more than half for one cause."""
         return [
             fit.Finding(False, f"{spec.name}: {n} of {self._checked[spec.index]} frames have {why}")
             for spec in self._codec.messages
@@ -145,7 +145,7 @@ class _Values:
         ]
 
     def absent(self, node: int) -> list[fit.Finding]:
-        """That nothing came of this drive."""
+        """Finding that the log has no message of this drive, if so."""
         mine = [s.index for s in self._codec.messages if s.node == node and not s.is_gateway]
         if self._parts.keys() & mine:
             return []
@@ -156,7 +156,7 @@ class _Values:
         return [fit.Finding(False, text)]
 
     def of_drive(self, node: int) -> fit.Measured:
-        """SI; empty where nothing came."""
+        """Signals of one drive, SI; arrays are empty where the log has none."""
         t, current, phase_sum, voltage = self._electrical(node)
         _, motion = self._columns(node, "Motion")
         _, status = self._columns(node, "Status")
@@ -171,7 +171,7 @@ class _Values:
         )  # fmt: skip
 
     def commanded(self, node: int, rated_nm: float) -> command_fit.Commanded:
-        """Nothing in it where nothing came."""
+        """Torque commands of one drive with its torque; empty where the log has none."""
         none = np.zeros(0)
         _, motion = self._columns(node, "Motion")
         _, status = self._columns(node, "Status")
@@ -179,7 +179,7 @@ class _Values:
         motion_t, torque = motion.get("t", none), motion.get("Torque", none)
         made = np.full(len(t), np.nan)
         if len(motion_t):
-            # The last one before the command: an echo repeats what was measured.
+            # The last torque before the command, because an echo repeats what was measured.
             at = np.searchsorted(motion_t, t, side="right") - 1
             made[at >= 0] = torque[at[at >= 0]]
         return command_fit.Commanded(node, t, command, made, rated_nm)
@@ -207,7 +207,7 @@ class _Values:
         _, volts = self._columns(node, "StatorVoltages")
         vector = volts.get("Ualpha", none) + 1j * volts.get("Ubeta", none)
         voltage = fit.joined(t, volts.get("t", none), vector, 0.5 * spec.cycle_ns / 1e9)
-        # What was made of the sum cannot show that it is none.
+        # A phase computed from the others makes the sum zero, so it cannot be checked there.
         total[np.isin(t, np.array(self._derived[node]) / 1e9)] = np.nan
         total = total if np.isfinite(total).any() else none
         return t, current[good], total, voltage

@@ -1,4 +1,4 @@
-"""`check`: a synthetic loss of adhesion through the configuration."""
+"""`check`: a synthetic loss of adhesion, detected with the configuration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Tried(NamedTuple):
-    """blind: nodes that can never be judged, and why; problem: why the rest was not tried."""
+    """Results: `blind`: nodes always Unknown, and why; problem: why the rest was not simulated."""
 
     blind: dict[int, str]
     found: list[Found]
@@ -22,7 +22,7 @@ class Tried(NamedTuple):
 
 
 def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> Tried:
-    """Run the losses; `measured` is filled by the first. Raises ConfigError as `Gateway` does."""
+    """Simulate the losses; the first one fills `measured`. Raises ConfigError as `Gateway` does."""
     from gateway.hil.synthetic_loss import losses, never
 
     blind = never(config, foreign.fitted(codec, foreign.plans(config)))
@@ -35,7 +35,7 @@ def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> T
 
 
 def print_results(config: Config, tried: Tried) -> list[str]:
-    """Print a line per loss; gives what is wrong: losses that are not found, or cannot be."""
+    """Print a line per loss; return the problems: losses that are not or cannot be found."""
     from gateway.hil.synthetic_loss import DEPTH, WITHIN_NS
 
     for node, why in tried.blind.items():

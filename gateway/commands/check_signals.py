@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def signal_lines(plan: Plan) -> list[str]:
-    """Lines, the first with the drive's name."""
+    """Lines of one drive; the first begins with its name."""
     first = f"drive {plan.node}"
     lines = [*_sources(plan), *_limits(plan), *_codes(plan)]
     return [f"{first if k == 0 else '':<14} {line}" for k, line in enumerate(lines)]
@@ -32,7 +32,7 @@ def _sources(plan: Plan) -> Iterator[str]:
 
 
 def _codes(plan: Plan) -> Iterator[str]:
-    """Ends of raw ranges that may mean that there is no value, where nothing says so."""
+    """Lines for ends of raw ranges that may mean "no value" but are not declared as such."""
     for spec in plan.codec.messages:
         for name, column, source in plan.sources[spec.index]:
             signal = spec.signals[spec.column(column)]
@@ -42,7 +42,7 @@ def _codes(plan: Plan) -> Iterator[str]:
                 continue
             ends = raw_ends(signal)
             if UNITS[name] != "degC":
-                # A 0 is a value like any other there, and so are limits that somebody set.
+                # Except for temperatures, 0 is an ordinary value, and so are the DBC's limits.
                 ends = tuple(raw for raw in (ends[0], ends[-1]) if raw)
             codes = ", ".join(
                 f"{raw} ({source.scale * (signal.scale * raw + signal.offset) + source.offset:g})"

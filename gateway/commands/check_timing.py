@@ -1,4 +1,4 @@
-"""`check`: bus load with the exact stuff bits of simulated drives, and time of a tick."""
+"""`check`: bus load from the exact stuff bits of simulated drives, and duration of a tick."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def print_results(config: Config, codec: Codec, measured: Measured) -> None:
-    """Print both."""
+    """Print bus load and durations."""
     if config.unmapped() is not config:
         print("timing         measured with our message set for all drives, without translation")
     _print_loads(codec, config, measured.frames)
@@ -25,7 +25,7 @@ def print_results(config: Config, codec: Codec, measured: Measured) -> None:
 
 
 def _print_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
-    """A line per kind of message: its share of the bus by the frames' own stuff bits."""
+    """Print a line per kind of message: its share of the bus, with the frames' own stuff bits."""
     bus, seconds = config.bus, MEASURE_NS / 1e9
     nominal, data = bits_of(frames)
     kinds = defaultdict(list)

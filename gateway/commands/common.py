@@ -20,13 +20,13 @@ GOOD, FAILED, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3
 """Exit codes of the contract."""
 PATIENCE_S: Final = 3.0
 PROBLEMS_SHOWN: Final = 5
-"""Faults of one log of which a line tells."""
+"""Most faults of one log that are printed."""
 ENTRIES_SHOWN: Final = 50
-"""Entries of a DBC of which a line tells."""
+"""Most entries of a DBC that are printed."""
 
 
 def positive_seconds(text: str) -> float:
-    """A duration on the command line. Raises ArgumentTypeError unless finite and positive."""
+    """Parse a duration in seconds. Raises ArgumentTypeError unless positive and below 1e7."""
     try:
         seconds = float(text)
     except ValueError:
@@ -37,7 +37,7 @@ def positive_seconds(text: str) -> float:
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
-    """`--config`."""
+    """Add `--config`."""
     parser.add_argument(
         "--config", type=Path, metavar="TRAIN.toml",
         help="configuration; without it: three drives on nodes 1-3 with the bench motor",
@@ -45,7 +45,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 
 def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
-    """`--public-key`, `--signature`."""
+    """Add `--public-key` and `--signature`."""
     parser.add_argument(
         "--public-key", type=Path, metavar="PUBLIC.pem", required=required,
         help="refuse a configuration that is not signed with this ed25519 key",
@@ -57,7 +57,7 @@ def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) ->
 
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
-    """python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
+    """Add python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
     from gateway.io import quick_start as leanstart
 
     leanstart.python_can()
@@ -67,7 +67,7 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
 
 
 def add_line(parser: argparse.ArgumentParser) -> None:
-    """`--line`."""
+    """Add `--line`."""
     parser.add_argument(
         "--line", metavar="PATTERN",
         help="pattern of a line of the log, such as '{ms:x} {id:x} {data}'; 'auto' proposes one",
@@ -75,9 +75,9 @@ def add_line(parser: argparse.ArgumentParser) -> None:
 
 
 def pattern_of(log: Path, line: str | None) -> str:
-    """The pattern that `--line` names, "" without it; of `auto` the proposal, printed.
+    """The pattern that `--line` names, "" without it; for `auto`, print and return the proposal.
 
-    Raises ConfigError, for an empty pattern too.
+    Raises ConfigError if the pattern is wrong or empty, or if no proposal fits.
     """
     if line is None:
         return ""
@@ -111,12 +111,12 @@ def pattern_of(log: Path, line: str | None) -> str:
 
 
 def faults(reader: LogReader) -> dict[str, int]:
-    """Lines or objects of a log that are none, by cause."""
+    """Number of faulty lines or objects of a log, by cause."""
     return {verdict.name.lower(): n for verdict, n in reader.counts.items() if verdict.is_fault}
 
 
 def report_dbc(codec: Codec) -> None:
-    """Entries of a DBC that are not used, on stderr."""
+    """Print the entries of a DBC that are not used, on stderr."""
     if codec.left_out:
         count = len(codec.left_out)
         what = "entry is" if count == 1 else "entries are"
@@ -129,7 +129,7 @@ def report_dbc(codec: Codec) -> None:
 
 
 def report_log(reader: LogReader) -> None:
-    """Counts of a log that was read, on stdout; the first faults and notes, on stderr."""
+    """Print the counts of a log that was read, on stdout; first faults and notes on stderr."""
     counts = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
     print(f"{reader.unit}: " + ", ".join(f"{name} {n}" for name, n in counts))
     one = reader.unit.removesuffix("s")
@@ -144,9 +144,9 @@ def report_log(reader: LogReader) -> None:
 
 
 def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
-    """The exit code for what was left out of a log; says on stderr if that is too much.
+    """Exit code for what was left out of a log; a warning on stderr if that is too much.
 
-    dropped: cause -> lines or frames; used: those that were not.
+    dropped: number of lines or frames by cause; used: number of those that were not dropped.
     """
     from gateway.reports.dropped import warning
 
@@ -157,5 +157,5 @@ def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
 
 
 def shown(path: Path) -> str:
-    """A path for the terminal, control characters in it escaped."""
+    """Path as text for the terminal, with control characters escaped."""
     return printable(str(path))

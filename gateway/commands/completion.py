@@ -1,4 +1,4 @@
-"""`completion SHELL`: what a shell needs to complete verbs, options and files."""
+"""`completion SHELL`: print the script with which a shell completes verbs, options and files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print it. Nothing of it is asked of the program again: completing costs no start."""
+    """Print the script. It holds all names, so completing a word does not start the program."""
     need(("shtab",), "completion", "completion")
     import shtab
 
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _files(parser: argparse.ArgumentParser, how: Mapping[str, object]) -> None:
-    """Complete what is a path, or may be one, with the names of files."""
+    """Complete arguments that are or may be paths with the names of files."""
     for action in parser._actions:  # noqa: SLF001 - argparse has no other way to ask
         if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
             for verb in action.choices.values():

@@ -1,4 +1,4 @@
-"""`convert IN OUT`: a log into another format, or into decoded signals."""
+"""`convert IN OUT`: convert a log into another format, or into decoded signals."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ keeps is in docs/files.md.
 
 
 OUTSIDE_SHOWN = 20
-"""Signals out of range that are named."""
+"""Most signals out of range that are listed."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,9 +62,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Convert; counts on stdout. Exit 2 too if a binary log was cut, or ended in a fault.
+    """Convert; print counts. Exit 2 also if a binary log was cut, or ended in a fault.
 
-    Exit 1 if more than 1 % of its lines are none, or of its frames are left out for their time.
+    Exit 1 if more than 1 % is dropped: faulty lines, and frames left out for their time stamps.
     """
     from gateway.io.replay import BadLogError
     from gateway.logfiles import convert
@@ -116,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _codec(options: argparse.Namespace) -> Codec:
-    """Of the DBC that was named, as it is; else of the configuration."""
+    """Codec of the DBC that was named, unchanged; otherwise that of the configuration."""
     from dbc.codec import bind_usable
 
     if options.dbc is not None:
@@ -127,7 +127,7 @@ def _codec(options: argparse.Namespace) -> Codec:
 
 
 def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
-    """What was read, written and left out, on stdout."""
+    """Print what was read, written and left out."""
     report_log(log.reader)
     print(f"frames: read {done.read}, written {done.sink.written}")
     left = dict(done.sink.left_out)

@@ -1,4 +1,4 @@
-"""`dbc`: the message set as a file, out of the installed package."""
+"""`dbc`: write the message set of the installed package as a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write it. Raises ConfigError where there is a file already, OSError."""
+    """Write the DBC. Raises ConfigError if the file exists already, OSError."""
     from gateway.io.whole_file import write_text
     from gateway.settings.config import ConfigError, shipped_dbc
 

@@ -1,4 +1,4 @@
-"""`demo`: everything on an embedded bus, with nothing else installed."""
+"""`demo`: drives and gateway on a bus inside the program; nothing else has to be installed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Drives and gateway talk over a real python-can bus; one loop, in real time."""
+    """Run drives and gateway over a real python-can bus, in one loop and in real time."""
     from gateway.hil.demo import rehearse, run_demo
     from gateway.hil.fitting import scenario_thermal
     from gateway.reports.figures import Span, loads

@@ -12,7 +12,7 @@ from gateway.io.console import console
 from gateway.io.extras import pictures
 
 WORLDS = ("ours", "ours_held", "held", "motulator", "roller", "other")
-"""As in `gateway.study.worlds`, and the thermal side's."""
+"""The worlds of `gateway.study.worlds`, and `other` of the thermal benchmark."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +52,7 @@ def _jobs(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Evaluate, print the table, write the files. Exit 2 where nothing can be evaluated."""
+    """Evaluate, print the table, write the files. Exit 2 if nothing can be evaluated."""
     if options.what == "thermal":
         return evaluate_thermal.run(options)
     from gateway.settings.config import ConfigError
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _families(options: argparse.Namespace) -> tuple[str, ...]:
-    """Families asked for. Raises ConfigError listing the known ones for a wrong name."""
+    """Families asked for. For a wrong name, raises ConfigError, which lists the known ones."""
     from gateway.settings.config import ConfigError
     from gateway.study.worlds import WORLDS
     from sim.physics.plant import MOTORS

@@ -44,7 +44,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Evaluate, print the table, write it where asked. Exit 2 where nothing can be evaluated."""
+    """Evaluate, print the table, write it if asked for. Exit 2 if nothing can be evaluated."""
     with Progress("loading the methods"):
         from gateway.settings.config import ConfigError
         from gateway.study.evaluation_runs import seeds_of
@@ -127,7 +127,7 @@ def _promise(options: argparse.Namespace, seeds: Sequence[int]) -> int:
 
 
 def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) -> Iterator[str]:
-    """What was taken for what, and false alarms a month, as far as the kinds asked for tell."""
+    """Tables of confusions and of false alarms a month, as far as the chosen kinds allow."""
     from gateway.study.thermal_dataset import KINDS
     from gateway.study.thermal_scores import mean, table_of
     from gateway.study.thermal_trials import HEALTHY, UNDECIDED, confused

@@ -1,4 +1,4 @@
-"""`examples`: the examples that ship, as files: configurations, tests, CI, a container."""
+"""`examples`: write the shipped examples as files: configurations, tests, CI, a container."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write them. Raises ConfigError where something is there already, OSError."""
+    """Write the examples. Raises ConfigError if the folder exists already, OSError."""
     from shutil import copyfile
 
     from gateway.io.whole_file import whole
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def shipped() -> Path:
-    """In the package where it is installed, beside it in a checkout."""
+    """Folder of the examples: inside the installed package, or beside it in a checkout."""
     import gateway
 
     package = Path(gateway.__path__[0])

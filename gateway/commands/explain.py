@@ -1,4 +1,4 @@
-"""`explain CODE`: what a code of a flag frame means, and what to do about it."""
+"""`explain CODE`: print what a code of a flag frame means, and what to do about it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print them; without a code all. Raises ConfigError for one that there is not."""
+    """Print the codes, or all if none is given. Raises ConfigError for an unknown code."""
     from gateway.reports import explanations
     from gateway.settings.config import ConfigError
 

@@ -1,4 +1,4 @@
-"""`fleet`: many logs, in many processes, into Parquet."""
+"""`fleet`: replay many logs in many processes, with the results in Parquet."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def _parts(text: str) -> tuple[str, ...]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the logs, write the tables, say what came out.
+    """Replay the logs, write the tables, print a summary.
 
-    Exit 1 if any log is bad, left over, or more than 1 % of it was dropped.
+    Exit 1 if any log is bad, or if more than 1 % of a log was dropped.
     """
     need(("distributed", "pyarrow"), "fleet")
     from gateway.fleet import run as fleet
@@ -104,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path]) -> None:
-    """What came out, on stdout."""
+    """Print a summary of the results."""
     from gateway.fleet.table import BAD
 
     bad = [row for row in rows if row.status == BAD]
@@ -128,13 +128,13 @@ def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path])
 
 
 def bad_line(row: Row) -> str:
-    """Why a log was left out. Whoever names logs cannot write to the terminal."""
+    """Why a log was left out; control characters in its name cannot reach the terminal."""
     return printable(f"bad: {row.path}: {row.error}")
 
 
 @contextmanager
 def _progress(jobs: Sequence[Job], before: dict[Job, Row]) -> Iterator[Callable[[Job, Row], None]]:
-    """A bar over the bytes; a line for a bad log."""
+    """Yield a callback for finished logs: a bar over the bytes, and a line for each bad log."""
     from gateway.fleet import storage
     from gateway.fleet.table import BAD
 

@@ -1,4 +1,4 @@
-"""`fleet-thresholds DIR`: thresholds from a healthy fleet's results."""
+"""`fleet-thresholds DIR`: derive thresholds from a healthy fleet's results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, write the fragment, print it. Exit 2 where the fleet is not healthy."""
+    """Measure; write and print the fragment. Exit 2 if the fleet is not healthy."""
     need(("pyarrow",), "fleet")
     from gateway.fleet.storage import place
     from gateway.fleet.thresholds import measure, to_toml

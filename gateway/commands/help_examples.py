@@ -1,4 +1,4 @@
-"""Two examples of each use of a verb, at the end of its `--help`; the tests run them in order."""
+"""At least two examples of each verb, at the end of its `--help`; the tests run them in order."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ EXAMPLES: Final = {
                  "evaluate thermal --base bench --seeds 0-1 -o out"),
     "reproduce": ("reproduce adhesion -o out", "reproduce thermal -o out --seed 1"),
 }  # fmt: skip
-"""By verb, without the program's name."""
+"""Examples by verb, without the program's name."""
 
 
 def examples(verb: str) -> str:
-    """What `--help` of a verb ends with; empty for one that does nothing."""
+    """End of the `--help` of a verb; empty for a verb without examples."""
     lines = [f"  traction-gateway {one}" for one in EXAMPLES.get(verb, ())]
     return "\n".join(["examples:", *lines]) if lines else ""

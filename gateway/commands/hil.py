@@ -43,7 +43,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Judge every scenario; exit 1 if any expectation failed.
 
-    3 if it did only where the machine could not keep up with the bus.
+    Exit 3 if expectations failed only where the machine could not keep up with the bus.
     """
     from sim.scenario import ScenarioError, find
 
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _folders(results: Path | None, names: Sequence[str]) -> list[Path | None]:
-    """A folder for each scenario; what would have the same name is numbered."""
+    """A folder for each scenario; repeated names are numbered."""
     if results is None:
         return [None] * len(names)
     results.mkdir(parents=True, exist_ok=True)
@@ -106,7 +106,7 @@ def _folders(results: Path | None, names: Sequence[str]) -> list[Path | None]:
 def _one(
     options: argparse.Namespace, name: str, scenario: Any, folder: Path | None, runs: list[Run]
 ) -> tuple[Outcome, int]:
-    """Verdicts, and what the configuration is called on the bus. A run for the report, if any."""
+    """Verdicts, and the configuration's hash on the bus; adds the run to `runs` for a report."""
     config, codec = fitting(options.config, scenario, options)
     if options.config is not None:
         from gateway.hil.own_motor import with_motor_of
@@ -126,7 +126,7 @@ def _one(
 def _kept(
     options: argparse.Namespace, name: str, scenario: Any, left: Reporting, outcome: Outcome
 ) -> Run:
-    """What the report says of a scenario."""
+    """Report of one scenario."""
     from gateway.commands.run import options_name
     from gateway.reports.reporting import file_facts, span_facts
     from sim.scenario import path_of
@@ -165,7 +165,7 @@ def _outcome(
 
         with ExitStack() as stack:
             if scenario != find(name):
-                # The drives' process reads what is simulated from a file.
+                # The drives' process reads its scenario from a file.
                 here = stack.enter_context(TemporaryDirectory(prefix="hil-"))
                 name = str(Path(here) / "scenario.toml")
                 save_scenario(scenario, Path(name))
@@ -193,7 +193,7 @@ def _outcome(
 
 @contextmanager
 def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
-    """Writes all frames. paired: each Auth frame stays behind its flag frame."""
+    """Yield a watcher that writes all frames. paired: each Auth frame follows its flag frame."""
     from dbc.candump.writer import Writer
     from gateway.io.whole_file import whole
 
@@ -208,7 +208,7 @@ def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
 
 @contextmanager
 def _progress(scenario: Any) -> Iterator[list[Any]]:
-    """A bar over the scenario's time."""
+    """Yield a watcher that shows a bar over the scenario's time."""
     with Progress(scenario.title, scenario.duration_s) as progress:
 
         def look(now: int, *_: Any) -> None:
@@ -219,7 +219,7 @@ def _progress(scenario: Any) -> Iterator[list[Any]]:
 
 
 def _suite(parent: ET.Element, title: str, outcome: Outcome, seconds: float, word: int) -> None:
-    """An expectation that failed on a machine that could not keep up is an error, no failure."""
+    """Add a scenario to the JUnit XML; a failure on an overloaded machine counts as an error."""
     verdicts = outcome.verdicts
     kind = "error" if outcome.inconclusive else "failure"
     suite = ET.SubElement(

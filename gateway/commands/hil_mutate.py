@@ -1,4 +1,4 @@
-"""`hil --mutate N`: how many gateways with a fault these scenarios would notice."""
+"""`hil --mutate N`: count how many faulty gateways these scenarios would notice."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, scenarios: list[tuple[str, Scenario]]) -> int:
-    """Judge the suite; a table, and for what it lets through the shipped scenario that would not.
+    """Print which mutants the suite notices, and for the others a shipped scenario that does.
 
-    Exit 1 where a scenario fails as it is, or fewer mutants are noticed than expected.
+    Exit 1 if a scenario fails without a mutant, or if fewer mutants are noticed than expected.
     """
     from gateway.hil.mutants import mutants
     from gateway.hil.mutating import judged
@@ -63,7 +63,7 @@ def _word(result: Result) -> str:
 def _recorded(
     options: argparse.Namespace, scenarios: Iterable[tuple[str, Scenario]]
 ) -> Iterator[Recorded]:
-    """What the gateway says in each, as it should be."""
+    """Recordings of the correct gateway in each scenario."""
     from gateway.hil.fitting import fitting
     from gateway.hil.mutating import record
 
@@ -78,7 +78,7 @@ def _recorded(
 
 
 def _cures(options: argparse.Namespace, missed: list[Result], known: set[str]) -> Iterator[str]:
-    """Which shipped scenario would have noticed what was not, shortest first."""
+    """Lines naming the shipped scenario that notices each missed mutant, shortest first."""
     from gateway.hil.mutating import judged
     from sim.scenario import builtin, builtin_names
 

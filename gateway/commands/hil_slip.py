@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gateway.hil.slip_rails import Track
 
 REFERENCES: Final = ("oracle", "none")
-"""Run beside the device under test: the best and the worst that a track allows."""
+"""Controllers run beside the device under test: the best and the worst that a track allows."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """A table, and a page if a folder is given. Exit 1 where a score is below what is expected."""
+    """Print a table, and write a page if a folder is given. Exit 1 if a score is too low."""
     from gateway.hil.slip_bench import CONTROLLERS, ride
     from gateway.hil.slip_page import HEAD, cells, leave
 
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _tracks(names: list[str]) -> Iterator[Track]:
-    """Of the library by name, `seed_N` by seed. Raises ConfigError."""
+    """Tracks: of the library by name, or `seed_N` by seed. Raises ConfigError."""
     from gateway.hil.slip_rails import LIBRARY, seeded
 
     for name in names or LIBRARY:
@@ -76,7 +76,7 @@ def _tracks(names: list[str]) -> Iterator[Track]:
 
 
 def _device(options: argparse.Namespace) -> Callable[[Track], Run]:
-    """Who is in charge. Raises ConfigError."""
+    """Function that runs the chosen controller on a track. Raises ConfigError."""
     from gateway.hil.slip_bench import CONTROLLERS, ride, ride_on_bus, ride_with_gateway
 
     name = options.controller
@@ -96,7 +96,7 @@ def _device(options: argparse.Namespace) -> Callable[[Track], Run]:
 
 
 def _from_file(path: Path, function: str) -> Controller:
-    """A user's own, loaded anew for each track. Raises ConfigError."""
+    """The user's own controller, loaded anew for each track. Raises ConfigError."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
         raise ConfigError("--controller", [f"{path}: no Python file"])

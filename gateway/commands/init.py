@@ -1,4 +1,4 @@
-"""`init`: a first configuration, from the names in a DBC and, where there is one, a recording."""
+"""`init`: write a first configuration from the names in a DBC and, if given, a recording."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MOST_DRIVES: Final = 16
 FRAMES: Final = 200_000
-"""Of a log that are looked at."""
+"""Number of frames of a log that are read."""
 GUESSED_MS: Final = 10.0
 _LEAST_FRAMES: Final = 3
 _EXTENDED: Final = 1 << 31
@@ -51,12 +51,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _whole_number(text: str) -> int:
-    """Decimal, or hexadecimal with 0x in front. Raises ValueError."""
+    """Parse a decimal number, or a hexadecimal one with 0x in front. Raises ValueError."""
     return int(text, 0)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write it, and check it. Raises ConfigError, DbcMismatch, LogError, OSError."""
+    """Write and check the configuration. Raises ConfigError, DbcMismatch, LogError, OSError."""
     from gateway.io.whole_file import write_text
     from gateway.mapping import first_config
     from gateway.settings.config import ConfigError
@@ -89,7 +89,7 @@ def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     if guess.of_this_project(specs):
         return first_config.ours(drives, named)
     periods = _periods(options) if options.log else {}
-    # As if the first drive had no offset.
+    # Subtract the first drive's offset, so that identifiers are those of the DBC.
     periods = {key - options.id_offset: ms for key, ms in periods.items()}
     there = [spec for spec in specs if spec.key in periods] if periods else list(specs)
     found = guess.candidates(there)
@@ -132,7 +132,7 @@ def _shared(
 
 
 def _free_step(used: set[int], drives: int) -> int:
-    """The smallest with which no two drives have an identifier in common."""
+    """The smallest step with which no two drives share an identifier."""
     step = 1
     while any(i + step * k in used for i in used for k in range(1, drives)):
         step += 1
@@ -159,7 +159,7 @@ def _say(shared: Shared, drives: int) -> None:
 def _periods(options: argparse.Namespace) -> dict[int, float]:
     """Median period in ms of every identifier in a log's first frames.
 
-    Raises ConfigError where none comes a few times, BadLogError for another channel.
+    Raises ConfigError if no identifier comes often enough, BadLogError for another channel.
     """
     import numpy as np
 
@@ -207,7 +207,7 @@ def _asked_dbc() -> Path | None:
 
 
 def _check(path: Path, more: Sequence[str]) -> int:
-    """As `check PATH --no-timing`; what it says of the guess is not the end of the file."""
+    """Run `check PATH --no-timing`; the file stays even if the check finds it wrong."""
     from gateway.commands import check
     from gateway.settings.config import ConfigError
 

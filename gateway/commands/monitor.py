@@ -1,6 +1,6 @@
 """`monitor [LOG]`: a live view of a bus or a log; read-only.
 
-A form of it is a few lines in `run`: `need` for its extra, `open_source`, then whatever draws.
+`run` has a few lines for each kind of view: `need` its extra, `open_source`, then draw.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _seconds(text: str) -> float:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show it until the user leaves."""
+    """Show the view until the user leaves."""
     if options.web is not None:
         need(("starlette", "uvicorn", "websockets"), "web")
     if options.metrics is not None:
@@ -76,9 +76,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def open_source(options: argparse.Namespace) -> Source:
-    """The bus or log that the options name; every form of the monitor begins with this.
+    """Open the bus or log that the options name; every kind of view begins with this.
 
-    Raises ConfigError, DbcMismatch, BadLogError or LogError for what cannot be used.
+    Raises ConfigError, DbcMismatch, BadLogError or LogError if it cannot be used.
     """
     from gateway.io.bus import bus_options as named
     from gateway.monitor.model.observer import Observer
@@ -116,7 +116,7 @@ def _live(options: argparse.Namespace, config: Any, codec: Any, observer: Any) -
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Nothing is logged into the picture; what matters of the bus is in the picture."""
+    """Suppress logging, which would spoil the view; the view shows the state of the bus itself."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:

@@ -20,7 +20,7 @@ WEB, METRICS = "127.0.0.1:8090", "127.0.0.1:8091"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of both."""
+    """Options of page and metrics."""
     parser.add_argument(
         "--web", nargs="?", const=WEB, metavar="HOST:PORT",
         help=f"a page instead of the terminal (default: {WEB}); metrics are there at /metrics",
@@ -36,7 +36,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Source]) -> int:
-    """Serve until the user stops it. What is wrong with the addresses is said before all else.
+    """Serve until the user stops it. The addresses are checked before anything is opened.
 
     source: opens the bus or log that the options name. Raises ConfigError.
     """
@@ -64,7 +64,7 @@ def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Sour
         alone = [ports[w] for what, w in wanted.items() if what == "metrics" and page]
         if page and len(ports) == 1:
             alone = []
-        # The server ends in good order, and then has its signal once more.
+        # The server shuts down in good order, and then raises the signal once more.
         with suppress(KeyboardInterrupt):
             serve(
                 Feed(opened, waits=page), Access(token, names if token else ()),
@@ -90,7 +90,7 @@ def _where(text: str | None, default: str) -> Listen | None:
 
 
 def _token(name: str | None, wanted: Mapping[str, Listen]) -> bytes | None:
-    """Read, if a file is named. Raises ConfigError for an address that needs one and has none."""
+    """Read the token, if a file is named. Raises ConfigError if an address needs one."""
     from gateway.io.credentials import private_file
     from gateway.monitor.model.access import token_of
     from gateway.monitor.web import is_loopback

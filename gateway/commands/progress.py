@@ -1,7 +1,7 @@
 """Progress of a verb, with the time left: on a terminal, never in a pipe.
 
-Every verb that may take longer than two seconds uses this. The bar is drawn ten times a second by
-itself, so a person sees that the program works, also between two steps.
+Every verb that may take longer than two seconds uses this. A thread draws the bar ten times a
+second, so a person sees that the program works even between two steps.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SPEED_OVER_S: Final = 3600.0
-"""The time left is worked out from the steps of so long: one may take minutes."""
+"""The time left is estimated from the steps of this period, because one may take minutes."""
 
 
 class Progress(AbstractContextManager["Progress"]):
-    """A bar on stderr if a person is watching, else nothing. Context manager."""
+    """Context manager: a bar on stderr if that is a terminal, otherwise nothing."""
 
     def __init__(
         self, what: str, total: float | None = None, done: float = 0.0, *, by_itself: bool = True
     ) -> None:
-        """what: plain text beside the bar; total: of any unit, None where it is not known.
+        """Prepare the bar; `what`: plain text beside it; total: in any unit, None if unknown.
 
-        by_itself: drawn by a thread; else only in `to`, for a loop in real time.
+        by_itself: a thread draws the bar; otherwise only `to` does, for a loop in real time.
         """
         self._bar: Any = None
         self._by_itself = by_itself
         self._shown = what, total, done
 
     def __enter__(self) -> Progress:
-        """Draw it."""
+        """Draw the bar."""
         if sys.stderr.isatty():
             from rich.progress import (
                 BarColumn,
@@ -61,31 +61,31 @@ class Progress(AbstractContextManager["Progress"]):
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Take it away."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
 
     def to(self, done: float, what: str | None = None) -> None:
-        """So much is done; what: what comes next."""
+        """Set how much is done; `what`: text of the next step."""
         if self._bar is not None:
             self._bar.update(
                 self._task, completed=done, description=what, refresh=not self._by_itself
             )
 
     def advance(self, by: float = 1.0, what: str | None = None) -> None:
-        """So much more is done."""
+        """Add to how much is done; `what`: text of the next step."""
         if self._bar is not None:
             self._bar.update(self._task, advance=by, description=what)
 
     def print(self, text: str) -> None:
-        """A line on stderr, above the bar; in a pipe as well."""
+        """Print a line on stderr, above the bar; in a pipe as well."""
         say = console() if self._bar is None else self._bar.console
         say.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def track(items: Iterable[T], what: str, total: float) -> Iterator[T]:
-    """The items, each of which counts 1 of `total` once it is done with."""
+    """Yield the items; each counts 1 of `total` when the next one is requested."""
     with Progress(what, total) as progress:
         for item in items:
             yield item
@@ -93,7 +93,7 @@ def track(items: Iterable[T], what: str, total: float) -> Iterator[T]:
 
 
 def track_file(log: Log, path: Path, what: str) -> Iterator[Block]:
-    """A log's blocks, by how much of the file is read."""
+    """Yield a log's blocks; the bar shows how much of the file has been read."""
     with Progress(what, path.stat().st_size) as progress:
         for block in log.blocks:
             progress.to(log.reader.bytes_read)
@@ -101,7 +101,7 @@ def track_file(log: Log, path: Path, what: str) -> Iterator[Block]:
 
 
 def stepped(progress: Progress) -> Callable[[str], None]:
-    """`step(what comes next)`: the step before it is done."""
+    """Return `step(what)`: it names the next step, and counts the one before as done."""
     steps = 0
 
     def step(what: str) -> None:

@@ -1,4 +1,4 @@
-"""`replay LOG`: the gateway over a recorded log."""
+"""`replay LOG`: run the gateway over a recorded log."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from gateway.settings.config import Config
 
 REPORT_STEPS = 3
-"""Of a report, beside a picture of each drive: checksum, flags, page."""
+"""Progress steps of a report beside the picture of each drive: checksum, flags, page."""
 SHOWN = 5
-"""Faults of one kind of which a line tells."""
+"""Most steps of the log's clock that are printed."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +81,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay; tables and counts on stdout. Exit 1 if more than 1 % of the log was dropped."""
+    """Replay; print tables and counts. Exit 1 if more than 1 % of the log was dropped."""
     with leanstart.unsearched():
         from dbc.candump.reader import Reader
         from dbc.candump.writer import Writer
@@ -153,7 +153,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[str, float]) -> int:
-    """The exit code for how much the flags knew; says so on stdout, and on stderr what lacks."""
+    """Exit code for the time in which flags were known; print it, and on stderr what is short."""
     from gateway.core.codes import Reason
     from gateway.reports.record import camel
 
@@ -175,7 +175,7 @@ def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[st
 
 
 def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Reporting | None:
-    """What keeps the run for a report, if one is wanted."""
+    """Recorder of the run for a report, if one is wanted. Raises ConfigError."""
     if options.results is None:
         for option in ("truth", "mcap"):
             if getattr(options, option):
@@ -195,7 +195,7 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
 def _messages(
     stack: ExitStack, left: Reporting, config: Config, codec: Codec
 ) -> Callable[[Block], None]:
-    """What writes the frames read into an MCAP; the ticks of `left` go there, too."""
+    """Function that writes received frames into an MCAP; the ticks of `left` go there too."""
     from gateway.io.whole_file import whole, write_text
     from gateway.logfiles.convert import comments_of
     from gateway.logfiles.mcap import McapFile
@@ -212,7 +212,7 @@ def _messages(
 def _report(
     options: argparse.Namespace, left: Reporting, done: Replayed, reader: LogReader
 ) -> Path:
-    """Write it; its path."""
+    """Write the report and return its path."""
     from gateway.reports.page import literal
     from gateway.reports.reporting import leave, replay_facts
     from gateway.reports.truth import read
@@ -236,7 +236,7 @@ def _report(
 
 
 def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> None:
-    """What the log held and what the gateway said, on stdout."""
+    """Print what the log contained and how the flags changed."""
     from gateway.settings.calibration import promise_lines
 
     report_log(reader)

@@ -42,7 +42,7 @@ def _seed(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Reproduce; the paper's table beside ours on stdout."""
+    """Reproduce the paper; print its table beside ours."""
     pictures("reproduce")
     if options.paper == "thermal":
         return _thermal(options.output, resume=options.resume)
@@ -78,14 +78,14 @@ def _thermal(folder: Path, *, resume: bool) -> int:
 
 
 def _print_now(text: str) -> None:
-    """On stdout, although the rest takes minutes."""
+    """Print without buffering, because the rest takes minutes."""
     print(text, flush=True)
 
 
 def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_SEEDS) -> Outcome:
-    """Everything into `folder`. Same scenario, same tables byte by byte.
+    """Write everything into `folder`. The same scenario gives the same tables byte by byte.
 
-    `seeds`: of the standing starts. Raises OSError where `folder` cannot be written.
+    `seeds`: of the standing starts. Raises OSError if `folder` cannot be written.
     """
     import numpy as np
 

@@ -17,13 +17,13 @@ from gateway.study.thermal_scores import Score
 
 TRAINS: Final = 20
 FIRST_SEED: Final = 2000
-"""Neither tuned on nor kept for the benchmark's reporting."""
+"""These seeds are neither tuned on nor kept for the benchmark's reporting."""
 KIND: Final = "overheating"
 BASE: Final = "days"
-"""Of the figures, as the paper's."""
+"""Time base of the figures, that of the paper."""
 BASES: Final = ("days", "bench")
 STEPS: Final = 4
-"""Of `reproduce` beside the trains of both bases."""
+"""Progress steps of `reproduce` beside the trains of both bases."""
 MOST_JOBS: Final = 4
 
 
@@ -35,10 +35,10 @@ def reproduce(
     resume: bool = False,
     show: Callable[[str], None] = lambda _table: None,
 ) -> Outcome:
-    """Everything into `folder`; `step(what comes next)` is called 2 `trains` + STEPS times.
+    """Write everything into `folder`; `step(what)` is called 2 `trains` + STEPS times.
 
-    A base's table is written, and given to `show`, before the next base begins. resume: trains
-    that `folder` has results of are not run again. Raises OSError where `folder` cannot be written.
+    A base's table is written, and passed to `show`, before the next base begins. resume: trains
+    with results in `folder` are not run again. Raises OSError if `folder` cannot be written.
     """
     from gateway.study import thermal_figures as figures
     from gateway.study import thermal_report as report
@@ -82,7 +82,7 @@ def reproduce(
 
 
 def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], float]]]:
-    """What the figures show of one train, and every method's statistic with its limit."""
+    """Data of one train for the figures, and every method's statistic with its limit."""
     from estimators.thermal import degradation
     from estimators.thermal.maisd_method import LIMIT as QUANTILE
     from estimators.thermal.maisd_method import maisd, moving_average

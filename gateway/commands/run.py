@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DISPLAY_EVERY = 20
-"""Ticks between two pictures of the table: the display must never disturb the loop."""
+"""Ticks between two updates of the live table: the display must never disturb the loop."""
 REHEARSED = 100
-"""Ticks of a throw-away gateway before the loop."""
+"""Ticks of a throw-away gateway before the loop starts."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +54,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class Started(NamedTuple):
-    """What a start makes."""
+    """Objects made at the start."""
 
     config: Config
     transport: Transport
@@ -63,7 +63,7 @@ class Started(NamedTuple):
 
 
 def _start(options: argparse.Namespace) -> Started:
-    """Load and make everything. Raises ConfigError or DbcMismatch with every problem."""
+    """Load the files and make all objects. Raises ConfigError or DbcMismatch with all problems."""
     from gateway.core.gateway import Gateway
     from gateway.io.bus import open_transport
     from gateway.io.credentials import flag_authenticator
@@ -73,10 +73,10 @@ def _start(options: argparse.Namespace) -> Started:
 
     config, codec = prepare(options.config, signature=options)
     mode = Mode.LISTEN if options.listen_only else Mode.RUN
-    # Who sends nothing needs no key and uses up no start number.
+    # A gateway that only listens needs no key and uses up no value of the trip counter.
     authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
     if options.results:
-        # Where nothing can be left is said now, not after the run.
+        # If the report cannot be written, this is reported now, not after the run.
         pictures("--results")
         options.results.mkdir(parents=True, exist_ok=True)
     if options.realtime is not None:
@@ -98,7 +98,7 @@ def _start(options: argparse.Namespace) -> Started:
 
 
 def _rehearse(config: Config, codec: Codec) -> None:
-    """Use the pages that a tick uses before the clock counts: they are locked from then on."""
+    """Touch the memory pages that a tick uses before the clock starts: they then stay locked."""
     from gateway.core.gateway import Gateway
 
     gateway = Gateway(config.unmapped(), codec, 0)
@@ -107,7 +107,7 @@ def _rehearse(config: Config, codec: Codec) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until SIGINT, SIGTERM or the duration; says unknown thrice, then stops."""
+    """Run until SIGINT, SIGTERM or the duration; then send unknown flags three times and stop."""
     with leanstart.uncollected():
         try:
             config, transport, ticker, gateway = _start(options)
@@ -162,12 +162,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def bus_options(options: argparse.Namespace, config: Any) -> dict[str, Any]:
-    """Command line over `[bus]` over python-can's own configuration."""
+    """Bus options: command line before `[bus]` before python-can's own configuration."""
     given = config.bus.options
     if given.get("interface") is None:
         given = {k: v for k, v in given.items() if k == "channel"}
     elif given["interface"] in ("socketcan", "virtual"):
-        # SocketCAN's bit rates are set by `ip link`, and compared with what was said here. A
+        # SocketCAN's bit rates are set by `ip link`, and compared with those configured here. A
         # virtual bus has none.
         configured = config.bus.model_fields_set if given["interface"] == "socketcan" else ()
         given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd", *configured)}
@@ -175,13 +175,13 @@ def bus_options(options: argparse.Namespace, config: Any) -> dict[str, Any]:
 
 
 def options_name(options: argparse.Namespace) -> str:
-    """The bus as a person names it."""
+    """Name of the bus for a person."""
     parts = (getattr(options, "interface", None), getattr(options, "channel", None))
     return " ".join(p for p in parts if p) or "the configured bus"
 
 
 def active_errors(gateway: Any) -> tuple[int, ...]:
-    """What the gateway's own emergency messages should report."""
+    """Errors that the gateway's own emergency messages should report."""
     from gateway.core.codes import Flag
     from gateway.io.canopen_node import GatewayError
 
@@ -205,7 +205,7 @@ def _display() -> Any:
 
 
 def summary(gateway: Any, seen: Any) -> None:
-    """Counters at the end, and what was promised, on stdout."""
+    """Print the counters at the end, and the promised rate of false alarms."""
     from gateway.settings.calibration import promise_lines
 
     for line in promise_lines(gateway.calibration):

@@ -1,7 +1,7 @@
 """Section 5 of paper `adhesion` on the simulator: the plant alone, and its frames in a log.
 
-Both are the same world: same start angles, same loads, and where a path takes the same samples as
-a bus does, the same noise.
+Both have the same start angles and the same loads, and the same noise where a path without a bus
+takes the same samples as a bus.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 
 class Bus(NamedTuple):
-    """A bus: name of its way, DBC, ticks per second (one per sample or frame)."""
+    """A bus: name of its way in the comparison, DBC, ticks per second (one per sample or frame)."""
 
     way: str
     dbc: str
@@ -51,7 +51,7 @@ class Bus(NamedTuple):
 
     @property
     def log(self) -> str:
-        """Name of the log's file."""
+        """File name of the log."""
         return f"section5_{self.way.split()[0].lower()}.log"
 
 
@@ -75,22 +75,22 @@ class World(NamedTuple):
 
     @property
     def t_s(self) -> Array:
-        """The same in seconds."""
+        """Time of each row, s."""
         return np.asarray(self.t_ns * 1e-9, dtype=np.float64)
 
     @property
     def load(self) -> Array:
-        """(T, N) Nm."""
+        """True load (T, N), Nm."""
         return self.rows[..., columns.LOAD]
 
     @property
     def speed(self) -> Array:
-        """(T, N) electrical rad/s."""
+        """True speed (T, N), electrical rad/s."""
         return self.rows[..., columns.SPEED] * MOTORS[self.scenario.motor.name].pole_pairs
 
 
 def simulate(scenario: Scenario) -> World:
-    """The plant of a preset-load scenario, without bus: as `sim.Simulation` moves it."""
+    """Simulate the plant of a preset-load scenario without a bus, as `sim.Simulation` does."""
     motor = MOTORS[scenario.motor.name]
     n = scenario.drives
     count = round(scenario.duration_s * 1e9) // PERIOD_NS
@@ -121,9 +121,9 @@ def simulate(scenario: Scenario) -> World:
 
 
 def measure(world: World, every: int, phases: int, steps: tuple[float, float]) -> Record:
-    """A sample each `every` periods, from `phases` currents, rounded to steps (A, V) or 0.
+    """Sample every `every` periods, from `phases` currents; steps (A, V) of rounding, 0 for none.
 
-    The noise is that of the bus that takes the same samples: the sensors draw per sample.
+    The noise equals that of the bus that takes the same samples: the sensors draw per sample.
     """
     sensors, n = world.scenario.sensors, world.scenario.drives
     noise = CurrentSensors(
@@ -137,7 +137,7 @@ def measure(world: World, every: int, phases: int, steps: tuple[float, float]) -
 
 
 def without_bus(world: World) -> list[Course]:
-    """Loads of the ways that have no bus, by the paper's and the product's filter."""
+    """Loads of the ways without a bus, by the paper's and the product's filter."""
     exact = (0.0, 0.0)
     ways = (
         ("8 kHz", 1, 2, exact),
@@ -157,7 +157,7 @@ def without_bus(world: World) -> list[Course]:
 
 @cache
 def _codec(dbc: str) -> Codec:
-    """A shipped DBC bound for the drives of a configuration without a file."""
+    """A shipped DBC bound for the drives of the default configuration."""
     return bind(shipped_dbc(dbc), load(None).nodes)
 
 
@@ -172,7 +172,7 @@ def wire_steps(bus: Bus) -> tuple[float, float]:
 
 
 def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
-    """The drives' frames as a candump log, as `sim` writes it. Raises OSError."""
+    """Write the drives' frames as a candump log, as `sim` does. Raises OSError."""
     from dbc.candump.writer import Writer
 
     simulation = Simulation(scenario, _codec(bus.dbc))
@@ -183,7 +183,7 @@ def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
 
 
 def replay_log(path: Path, bus: Bus, belief: Filter) -> Course:
-    """The gateway over a log: loads of tracked drives at its ticks, NaN where it knows none."""
+    """Replay a log: loads of tracked drives at the gateway's ticks, NaN where not known."""
     from gateway.core.gateway import Gateway
     from gateway.io.replay import OneChannel, open_log, replay
 
@@ -209,12 +209,12 @@ def replay_log(path: Path, bus: Bus, belief: Filter) -> Course:
 
 
 def locked(speed: Array, world: World) -> tuple[bool, ...]:
-    """Per drive whether a filter's speed (T, N) ends at the true one."""
+    """For each drive, whether a filter's speed (T, N) ends within 10 rad/s of the true one."""
     return tuple((np.abs(speed[-1] - world.speed[-1]) < 10.0).tolist())
 
 
 def standing(scenario: Scenario, seed: int) -> World:
-    """The same loads for half a second, from standstill to the same speed within `RAMP_S`."""
+    """Simulate the same loads for `STANDING_S`, from standstill to speed within `RAMP_S`."""
     speed = scenario.motion.speed
     motion = Motion(start="standstill", profile=[(0.0, 0.0), (RAMP_S, speed)])
     return simulate(
@@ -223,7 +223,7 @@ def standing(scenario: Scenario, seed: int) -> World:
 
 
 def standing_start(scenario: Scenario, seed: int) -> StandingStart:
-    """The paper's filter started at zero on a standing train, judged by the median method."""
+    """Start the paper's filter at zero on a standing train; errors by the median method."""
     world = standing(scenario, seed)
     samples = measure(world, 1, 2, (0.0, 0.0))
     found = bench.estimate(samples, bench.PAPER, *bench.unit_start(np.zeros_like(world.start)))
@@ -233,7 +233,7 @@ def standing_start(scenario: Scenario, seed: int) -> StandingStart:
 
 
 def spans(scenario: Scenario) -> list[Span]:
-    """When drives lose load, for shading."""
+    """Intervals in which drives lose load, for shading."""
     out = [
         Span(e.at_s, e.end_s, d, "lost")
         for e in scenario.event

@@ -1,4 +1,4 @@
-"""`shrink LOG --flag adhesion:2@41.3`: from a long recording to a test."""
+"""`shrink LOG --flag adhesion:2@41.3`: make a short test from a long recording."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def wanted(text: str) -> Wanted:
-    """`adhesion:2@41.3`. Raises ArgumentTypeError for anything else."""
+    """Parse a text like `adhesion:2@41.3`. Raises ArgumentTypeError for anything else."""
     from gateway.core.flags import FlagKind
     from gateway.logfiles.shrink import Wanted
 
@@ -54,7 +54,7 @@ def wanted(text: str) -> Wanted:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Shrink; what is left on stdout."""
+    """Shrink the log; print what remains of it."""
     with leanstart.unsearched():
         from dbc.frame import SECOND
         from gateway.logfiles import shrunk_files

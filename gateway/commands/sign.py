@@ -19,7 +19,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check what is signed, then write the signature. Raises ConfigError."""
+    """Check the files to be signed, then write the signature. Raises ConfigError."""
     from gateway.io.signing import check_digest, default_signature, sign
     from gateway.io.whole_file import write_text
     from gateway.settings import calibration

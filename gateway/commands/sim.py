@@ -50,7 +50,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate. Without a bus and without -o the log goes to stdout."""
+    """Simulate. Without a bus and without -o, the log goes to stdout."""
     from dbc.codec import bind
     from gateway.settings.config import BUILTIN_DBC, shipped_dbc
     from sim.scenario import find
@@ -64,14 +64,14 @@ def run(options: argparse.Namespace) -> int:
     codec = bind(path, nodes)
     on_bus = hasattr(options, "interface") or hasattr(options, "channel")
     if on_bus:
-        # Import all before the clock starts: real time does not wait for the first step.
+        # One step imports everything before the clock starts: real time does not wait for it.
         Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
     simulation = Simulation(
         scenario, codec, nodes=nodes, self_start=not options.wait_for_start,
         verifier=_verifier(options),
     )  # fmt: skip
     seconds = scenario.duration_s if options.duration is None else options.duration
-    # What drives on a bus did cannot be had again, so it is kept where a signal ends them.
+    # A run on a bus cannot be repeated, so its truth is kept even if a signal ends the run.
     with _truth(options.truth, keep=on_bus) as truth:
         if on_bus:
             _on_bus(options, simulation, seconds, truth)
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _verifier(options: argparse.Namespace) -> Callable[[], Verifier] | None:
-    """What makes a drive's receiver of authenticated flags. Raises ConfigError for the key."""
+    """Factory of a drive's receiver of authenticated flags. Raises ConfigError for a bad key."""
     if options.auth_key is None:
         return None
     from dbc.secoc_receiver import Verifier
@@ -93,7 +93,7 @@ def _verifier(options: argparse.Namespace) -> Callable[[], Verifier] | None:
 
 
 class _Truth:
-    """The truth file; without a path the rows are only taken out of the simulation."""
+    """The truth file; without one, rows are taken out of the simulation and dropped."""
 
     def __init__(self, file: TextIO | None) -> None:
         self._writer = csv.writer(file, lineterminator="\n") if file else None
@@ -110,7 +110,7 @@ class _Truth:
 
 @contextmanager
 def _truth(path: Path | None, *, keep: bool) -> Iterator[_Truth]:
-    """The truth file, whole at the end."""
+    """Yield the truth file; it gets its name when complete. keep: see `whole`."""
     from gateway.io.whole_file import whole
 
     if path is None:
@@ -168,7 +168,7 @@ def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth:
 
 
 def _say_failures(simulation: Any) -> None:
-    """What a receiver could not verify; each at most once a second."""
+    """Log what a receiver could not verify, at most once a second for each drive."""
     for node, verifier in simulation.verifiers.items():
         if notice := verifier.notice(time.monotonic_ns()):
             log.warning("drive %d: %s", node, notice)

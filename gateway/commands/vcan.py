@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """The command's exit code; 2 where there is no SocketCAN, 125 where a link cannot be made."""
+    """Return the command's exit code; 2 without SocketCAN, 125 if a link cannot be made."""
     from gateway.hil.vcan.links import Links
     from gateway.hil.vcan.ways import PACKAGES, way
 
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _natively(prefix: tuple[str, ...], lines: list[str], folder: Path) -> int:
-    """In a namespace; the command has this program's input, output and terminal."""
+    """Run in a namespace; the command has this program's input, output and terminal."""
     from gateway.hil.vcan.job import script
     from gateway.hil.vcan.ways import searched
 
@@ -75,7 +75,7 @@ def _natively(prefix: tuple[str, ...], lines: list[str], folder: Path) -> int:
 
 
 def _apart(lines: list[str], folder: Path) -> int:
-    """In user-mode-linux; it has no input."""
+    """Run in user-mode-linux; the command has no input."""
     from gateway.hil.vcan.job import Job
 
     job = Job(lines, folder, os.environ)
@@ -94,7 +94,7 @@ def _apart(lines: list[str], folder: Path) -> int:
 
 @contextmanager
 def _forwarded(send: Callable[[int], None]) -> Iterator[None]:
-    """SIGINT and SIGTERM are for the command, which may end itself as it likes."""
+    """Forward SIGINT and SIGTERM to the command, which may end itself as it likes."""
     kinds = (signal.SIGINT, signal.SIGTERM)
     before = {kind: signal.getsignal(kind) for kind in kinds}
     for kind in kinds:

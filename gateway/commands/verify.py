@@ -16,7 +16,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit 0 if `run` would take it, 2 with what is wrong if not. Raises ConfigError."""
+    """Exit 0 if `run` would accept the configuration. Raises ConfigError if not (exit 2)."""
     from gateway.settings import calibration
 
     config, codec = prepare(options.config, signature=options)

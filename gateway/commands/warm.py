@@ -16,7 +16,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(_options: argparse.Namespace) -> int:
-    """Says so."""
+    """Print that the verb does nothing."""
     print("`warm` does nothing: the package contains the compiled core. The next version removes")
     print("this verb; `run` needs no --kernels.")
     return GOOD

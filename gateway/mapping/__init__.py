@@ -1,1 +1,1 @@
-"""Other makers' inverters: their signals become ours."""
+"""Mapping of other makers' inverters: their signals become those of our message set."""

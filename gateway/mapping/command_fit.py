@@ -1,7 +1,8 @@
-"""Whether `TorqueCommand` comes from the train, or has passed the drive's own slip control.
+"""Check whether `TorqueCommand` is the train's command or has passed the drive's slip control.
 
-A loss is found by a load that its drive does not carry though it is asked to. A command that is
-taken behind the drive's own slip control, or that repeats the measured torque, falls with the load.
+The detector finds a loss because a drive carries less load than its command asks for. A command
+that is taken after the drive's own slip control, or that repeats the measured torque, falls with
+the load and hides the loss.
 """
 
 from __future__ import annotations
@@ -17,24 +18,24 @@ from gateway.mapping.fit import Finding
 Array = NDArray[np.float64]
 
 LEAST: Final = 30
-"""Commands that are compared."""
+"""Fewest commands that can be compared."""
 NOISY: Final = 0.3
-"""Share of them at which the torque must have a noise of its own."""
+"""Share of the commands at which the torque must be noisy."""
 NOISE: Final = 3.0
-"""Resolutions of the torque, beyond which a bend of its course is noise."""
+"""Second differences of the torque above this many of its resolution steps count as noise."""
 REPEATED: Final = 0.8
-"""Share of the noise that is in the command, too."""
+"""A command with the torque's noise in more than this share of noisy samples repeats the torque."""
 STEP_S: Final = 0.1
 FALL_S: Final = 0.3
 FALL: Final = 0.2
-"""Of rated torque, that a command falls by in FALL_S while those of the other drives do not."""
+"""Fall of one drive's command in FALL_S, over rated torque, while the other commands hold."""
 OTHERS: Final = 0.05
 FEWEST: Final = 3
-"""Drives, of which one can be alone."""
+"""Fewest drives with which a fall of one drive alone can be found."""
 
 
 class Commanded(NamedTuple):
-    """Of one drive: t s and command Nm (K,), its torque Nm at these times, rated torque Nm."""
+    """Data of one drive: times s, commands Nm and torques Nm at these times (K,), rated torque."""
 
     node: int
     t: Array
@@ -44,7 +45,7 @@ class Commanded(NamedTuple):
 
 
 def repeats_torque(one: Commanded) -> Iterator[Finding]:
-    """At most one: a command that has the noise of the measured torque."""
+    """Yield at most one finding: the command has the noise of the measured torque."""
     known = np.isfinite(one.command) & np.isfinite(one.torque)
     if np.count_nonzero(known) < LEAST:
         return
@@ -65,7 +66,7 @@ def repeats_torque(one: Commanded) -> Iterator[Finding]:
 
 
 def fell_alone(drives: Sequence[Commanded]) -> dict[int, Finding]:
-    """By node: the first time a drive's command and torque fell, those of the others not."""
+    """By node, the first fall of a drive's command and torque while the other commands held."""
     used = [one for one in drives if np.count_nonzero(np.isfinite(one.command)) >= LEAST]
     if len(used) < FEWEST:
         return {}
@@ -73,7 +74,7 @@ def fell_alone(drives: Sequence[Commanded]) -> dict[int, Finding]:
     back = round(FALL_S / STEP_S)
     if len(t) <= back:
         return {}
-    # Of rated torque, and of what is asked for either way.
+    # Shares of rated torque, without their sign: driving and braking alike.
     command = np.array([_on(t, one.t, np.abs(one.command)) / one.rated_nm for one in used])
     torque = np.array([_on(t, one.t, np.abs(one.torque)) / one.rated_nm for one in used])
     fall = command[:, :-back] - command[:, back:]
@@ -95,7 +96,7 @@ def fell_alone(drives: Sequence[Commanded]) -> dict[int, Finding]:
 
 
 def _on(grid: Array, t: Array, values: Array) -> Array:
-    """Values at times of a grid, those that are not known left out."""
+    """Interpolate the finite values at the times of a grid; NaN if no value is finite."""
     known = np.isfinite(values)
     if not known.any():
         return np.full(len(grid), np.nan)

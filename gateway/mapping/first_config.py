@@ -1,4 +1,4 @@
-"""A first configuration as text, with a comment where a person has to look."""
+"""Text of a first configuration, with a comment wherever a person has to check it."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _MOTOR: Final = """
 class Shared(NamedTuple):
     """What all drives with one message set of another maker have in common.
 
-    dbc: path as the configuration has it. cycle_ms: by message, where the file has none; measured:
-    whether those are of a log. offset: of the first drive's identifiers; step: by how much those of
-    the next drive differ; source: by what that is known, empty for a guess.
+    dbc: path as written in the configuration. cycle_ms: by message, where the DBC has no cycle
+    time; measured: whether these are from a log. offset: of the first drive's identifiers; step:
+    distance to the next drive's identifiers; source: where the step is from, empty for a guess.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Shared(NamedTuple):
 
 
 def ours(drives: int, dbc: str) -> str:
-    """Drives that speak our own message set. dbc: file, or empty for the shipped one."""
+    """Configuration of drives with our own message set; `dbc`: file, empty for the shipped one."""
     lines = ["# Drives that speak the message set of this project.", ""]
     if dbc:
         lines += ["[dbc]", f"file = {_quoted(dbc)}", ""]
@@ -57,7 +57,7 @@ def ours(drives: int, dbc: str) -> str:
 
 
 def mapped(drives: int, shared: Shared) -> str:
-    """Drives with messages of their own."""
+    """Configuration of drives with messages of another maker."""
     use = {guess.quantity: guess for guess in shared.chosen if is_sure(guess)}
     lines = [
         f"# Written from names and units in {printed(shared.dbc)}: a guess.",
@@ -85,7 +85,7 @@ def mapped(drives: int, shared: Shared) -> str:
 
 
 def is_sure(guess: Guess) -> bool:
-    """Whether it is used; a guess that is less likely stands in a comment."""
+    """Whether a guess is used; a less likely one is written as a comment."""
     return guess.score >= SURE - 1e-9
 
 
@@ -121,7 +121,7 @@ def _signals(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
 
 
 def _other_node(guess: Guess, best: Guess) -> bool:
-    """Whether it is the same signal of another drive: names differ in a number only."""
+    """Whether a guess is the same signal of another drive: the names differ in numbers only."""
     return re.sub(r"\d+", "#", guess.name) == re.sub(r"\d+", "#", best.name)
 
 
@@ -135,10 +135,10 @@ def _value(guess: Guess) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A string of TOML, which has JSON's escapes."""
+    """Text as a TOML string, which has JSON's escapes."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def printed(text: str) -> str:
-    """Of a file: one line, nothing that ends a comment."""
+    """Text from a file as one line, without a character that would end a comment."""
     return "".join(c if c.isprintable() else "?" for c in text)

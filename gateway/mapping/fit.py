@@ -1,7 +1,7 @@
-"""Whether measured signals and a motor's parameters fit: units, signs, phases, flux.
+"""Check whether measured signals fit a motor's parameters: units, signs, phases, flux.
 
-Complex numbers are alpha + j beta, amplitudes. Nothing here needs a filter or a threshold of one:
-each finding is a ratio of two things that were measured.
+Complex numbers are alpha + j beta, as amplitudes. Nothing here needs a filter or a filter's
+thresholds: each finding is a ratio of two measured quantities.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from gateway.settings.motors import Motor
 Array = NDArray[np.float64]
 
 SLOW: Final = (0.3, 1.5)
-"""Electrical angle between two samples, rad, up to which they show the sense of rotation: the first
-leaves room for a speed that is ten times too small."""
+"""Largest electrical angle between two samples, rad, that shows the sense of rotation; tried in
+this order: the first one allows for a speed that is ten times too small."""
 CLOSEST_S: Final = 1e-3
 LEAST: Final = 30
-"""Samples of which a ratio is taken."""
+"""Fewest samples for a ratio."""
 LEAST_STATUS: Final = 3
-"""RMS currents of which a ratio is taken."""
+"""Fewest RMS currents for a ratio."""
 LEAST_CURRENT: Final = 0.1
-"""Of the rated one: below, noise turns as well."""
+"""Share of the rated current; below it, noise turns the current vector too."""
 FAST: Final = 0.3
-"""Of the highest speed: above, flux shows in the voltages."""
+"""Share of the highest speed; above it, the voltages show the flux."""
 SUM: Final = 0.2
-"""Of the amplitude, for the sum of three phases."""
+"""Largest sum of three phases, as a share of the amplitude."""
 SCATTER: Final = 0.3
-"""Of a median, for the median distance from it: with more, samples do not agree on anything."""
+"""Largest median distance from a median, as a share of it; beyond it, the samples disagree."""
 APART: Final = 0.4
-"""Of a torque, for what the other one of which a ratio is taken does not explain (RMS)."""
+"""Largest part of the measured torque that the computed one does not explain (RMS, as a share)."""
 WITHIN: Final = {"turns": 0.04, "flux": 0.2, "torque": 0.3, "rms": 0.15}
-"""How far a ratio may be from 1."""
+"""Largest distance of each ratio from 1."""
 _NAMED: Final = (
     (2.0, "twice"), (0.5, "half"), (9.549, "rpm for rad/s"), (0.10472, "rad/s for rpm"),
     (60.0, "1/s for rpm"), (1 / 60.0, "rpm for 1/s"), (10.0, "ten times"), (0.1, "a tenth"),
@@ -50,11 +50,11 @@ _NAME_WITHIN: Final = 0.06
 
 
 class Measured(NamedTuple):
-    """Of one drive, SI; empty arrays where it does not send something.
+    """Signals of one drive, SI; an array is empty where the drive does not send the signal.
 
-    t, current (L,), and the sum of the phases (L,) where three are measured, NaN where one is not
-    known; voltage (L,), NaN where there is none at that sample; motion_t, speed, torque (M,): rad/s
-    of the rotor, Nm; status_t, irms (K,).
+    t, current (L,); phase_sum (L,): sum of the phases where three are measured, NaN where one is
+    missing; voltage (L,), NaN where there is none at that sample; motion_t, speed, torque (M,):
+    rad/s of the rotor, Nm; status_t, irms (K,).
     """
 
     t: Array
@@ -69,14 +69,14 @@ class Measured(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Result of one comparison. fits: None where it cannot be checked."""
+    """Result of one comparison; `fits` is None where nothing can be compared."""
 
     fits: bool | None
     text: str
 
 
 def findings(data: Measured, motor: Motor) -> list[Finding]:
-    """Everything that these signals show.
+    """Results of all comparisons that these signals allow.
 
     At most one for each of: sum of the phases, RMS current, sense of rotation, pole pairs, flux,
     torque.
@@ -86,7 +86,7 @@ def findings(data: Measured, motor: Motor) -> list[Finding]:
     turns = None
     if len(data.speed) >= LEAST:
         turns = _turns(data.t, data.current, data, motor, LEAST_CURRENT * motor.I_rated)
-    # What pole pairs or speed have wrong is said once.
+    # An error of pole pairs or speed is corrected here, so that only one finding reports it.
     scale = 1.0 if turns is None else abs(turns)
     return [
         *_sum(data, motor),
@@ -97,7 +97,7 @@ def findings(data: Measured, motor: Motor) -> list[Finding]:
 
 
 def named(ratio: float) -> str:
-    """A ratio, with the mistake in which it often is found."""
+    """Text of a ratio, with the mistake that usually causes it, if there is one."""
     size = abs(ratio)
     k, word = min(_NAMED, key=lambda one: abs(size / one[0] - 1.0))
     word = word if abs(size / k - 1.0) < _NAME_WITHIN else ""
@@ -142,12 +142,12 @@ def _smooth(values: Array) -> Array:
 
 
 def _slope(x: Array, y: Array) -> float:
-    """Of y over x, which is not zero throughout, without an offset."""
+    """Slope of y over x by least squares without an offset; x must not be zero throughout."""
     return float(np.dot(x, y) / np.dot(x, x))
 
 
 def _rotation(data: Measured, motor: Motor, turns: float | None) -> Iterator[Finding]:
-    """Sense of rotation and pole pairs: of currents and voltages against the measured speed."""
+    """Compare sense of rotation and pole pairs of currents and voltages with the measured speed."""
     if len(data.speed) < LEAST:
         yield Finding(None, "no measured speed: sense of rotation and pole pairs cannot be checked")
         return
@@ -189,14 +189,14 @@ def _rotation(data: Measured, motor: Motor, turns: float | None) -> Iterator[Fin
 def _turns(
     t: Array, vector: NDArray[np.complex128], data: Measured, motor: Motor, least: float
 ) -> float | None:
-    """Median of a vector's speed over p times the rotor's.
+    """Median of a vector's speed over p times the rotor's speed.
 
     None where the log does not show it: too few samples, or samples that do not agree.
     """
     closest = float(np.median(np.diff(t)))
     if closest <= 0.0:
         return None
-    # Of samples that are closer than that, noise would turn more than the vector.
+    # Between samples closer than CLOSEST_S, noise would turn the angle more than rotation does.
     stride = max(1, round(CLOSEST_S / closest))
     t, vector = t[::stride], vector[::stride]
     dt = np.diff(t)
@@ -214,16 +214,16 @@ def _turns(
 
 
 def _agreed(ratios: Array) -> float | None:
-    """Their median; None where they scatter."""
+    """Median of the ratios; None where they scatter."""
     middle = float(np.median(ratios))
     distance = float(np.median(np.abs(ratios - middle)))
     return middle if distance <= SCATTER * abs(middle) else None
 
 
 def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
-    """Flux linkage from what the voltages have beyond R i + jwL i, and the torque it makes.
+    """Compare the flux linkage, from the voltages less R i + jwL i, and the torque it makes.
 
-    scale: of the electrical speed over that by the configuration.
+    scale: electrical speed over the one that follows from the configuration.
     """
     usable = np.isfinite(data.voltage)
     if len(data.speed) < LEAST or np.count_nonzero(usable) < LEAST:
@@ -236,7 +236,7 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
         yield Finding(None, "flux linkage cannot be checked: no part of the log is fast enough")
         return
     dt = float(np.median(np.diff(data.t)))
-    # The voltage is the mean since the sample before.
+    # The voltage is the mean since the previous sample.
     half = 0.5 * dt * w
     u = voltage * np.exp(1j * half) / np.sinc(half / np.pi)
     emf = u - (motor.R_s + 1j * w * motor.L_s) * current
@@ -258,7 +258,7 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
 
 
 def _torque(data: Measured, motor: Motor, t: Array, power: Array) -> Iterator[Finding]:
-    """power: in the air gap, W."""
+    """Compare the measured torque with the torque from `power`, the air-gap power in W."""
     known = np.isfinite(data.torque)
     if np.count_nonzero(known) < LEAST:
         return
@@ -280,7 +280,7 @@ def _torque(data: Measured, motor: Motor, t: Array, power: Array) -> Iterator[Fi
 def joined(
     t: Array, other_t: Array, values: NDArray[np.complex128], within: float
 ) -> NDArray[np.complex128]:
-    """Of each t the value whose time is nearest, NaN where none is within so many seconds."""
+    """For each t the value nearest in time; NaN where none is closer than `within` seconds."""
     out = np.full(len(t), complex(math.nan, math.nan))
     if not len(other_t):
         return out
@@ -293,5 +293,5 @@ def joined(
 
 
 def space_vector(ia: Array, ib: Array) -> NDArray[np.complex128]:
-    """Of two phases of three without a neutral."""
+    """Space vector from two of three phases without a neutral."""
     return ia + 1j * (ia + 2.0 * ib) / math.sqrt(3.0)

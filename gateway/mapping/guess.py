@@ -1,6 +1,6 @@
-"""Which signals of another maker's DBC may be mapped to ours, by their names and units.
+"""Guess which signals of another maker's DBC may be mapped to ours, by their names and units.
 
-A guess, to be looked at by a person: names say what somebody called a signal, not what it is.
+A person has to check each guess: a name shows what somebody called a signal, not what it is.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CONVERSIONS: Final[dict[str, dict[str, tuple[float, float]]]] = {
              "f": (0.55556, -17.778), "degf": (0.55556, -17.778)},
     "deg": {"deg": (1, 0), "degree": (1, 0), "degrees": (1, 0), "rad": (57.2958, 0)},
 }  # fmt: skip
-"""By our unit: (scale, offset) from others, written without blanks, points and signs."""
+"""By our unit: (scale, offset) from other units, written without blanks, points and signs."""
 _TARGET: Final = (
     r"tgt|rq|cmd|command|commanded|target|desired|des|request|requested|req|setpoint|set|ref|demand"
 )
@@ -44,7 +44,8 @@ _TEMPERATURE: Final = r"(temp|temps|temperature|temperatures)"
 class Rule(NamedTuple):
     """How a quantity is recognised.
 
-    Words of its name that must be there, that make it likelier, and that rule it out.
+    Patterns of words in the name: required words, words that raise the score, and words that rule
+    the signal out.
     """
 
     needs: str
@@ -95,15 +96,15 @@ RULES: Final[dict[str, Rule]] = {
                      rf"\b{_TEMPERATURE}\b.*\b(ambient|outside)\b", r"ambient|outside"),
 }  # fmt: skip
 UNITLESS: Final = 0.6
-"""Score of a signal whose unit the file does not say; with its unit it has more."""
+"""Score of a signal for which the file has no unit; a unit that fits adds to it."""
 SURE: Final = 0.9
-"""From this score on name and unit both fit."""
+"""From this score on, both name and unit fit."""
 _FORMS: Final = (("Ia", "Ib", "Ic"), ("Ia", "Ib"), ("Ialpha", "Ibeta"), ("Id", "Iq"))
 _VOLTAGES: Final = (("Ualpha", "Ubeta"), ("Ud", "Uq"))
 
 
 class Guess(NamedTuple):
-    """One signal for one of our quantities. score: from UNITLESS on; 1 and more: name and unit."""
+    """One signal for one of our quantities; score 1 and more: both name and unit fit."""
 
     quantity: str
     message: MessageSpec
@@ -114,12 +115,12 @@ class Guess(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As `[drive.signals.use]` has it."""
+        """Message.Signal, as in `[drive.signals.use]`."""
         return f"{self.message.name}.{self.signal.name}"
 
 
 def words(name: str) -> str:
-    """A name's words: `INV_MotorSpeed2` is `inv motor speed 2`."""
+    """Split a name into words: `INV_MotorSpeed2` becomes `inv motor speed 2`."""
     return " ".join(_WORDS.findall(name)).lower()
 
 
@@ -129,7 +130,7 @@ def of_this_project(specs: Sequence[MessageSpec]) -> list[int]:
 
 
 def candidates(specs: Sequence[MessageSpec]) -> dict[str, list[Guess]]:
-    """By quantity, the likeliest first; of equally likely ones what comes more often."""
+    """Guesses by quantity, the likeliest first; if equally likely, the one with a shorter cycle."""
     found: dict[str, list[Guess]] = {name: [] for name in RULES}
     for spec in specs:
         for signal in spec.signals:
@@ -161,7 +162,7 @@ def _of_signal(spec: MessageSpec, signal: SignalSpec) -> Iterator[Guess]:
 
 
 def _converted(quantity: str, unit: str) -> tuple[float, float] | None:
-    """Scale and offset from a unit to ours; None if it is another quantity's."""
+    """Scale and offset from a unit to ours; None if the unit is that of another quantity."""
     ours = UNITS[quantity]
     plain = _UNIT.sub("", unit.lower().rpartition(":")[2].replace("°", "deg"))
     if not unit.strip() or (quantity == "Irms" and plain == "arms"):
@@ -170,14 +171,14 @@ def _converted(quantity: str, unit: str) -> tuple[float, float] | None:
 
 
 def chosen(found: dict[str, list[Guess]]) -> list[Guess]:
-    """One signal for each quantity that has one, whole forms only, no signal twice."""
+    """One signal for each quantity that has a guess: complete forms only, no signal twice."""
     out = [*_form(found, _FORMS), *_form(found, _VOLTAGES)]
     used = {guess.name for guess in out}
     near = {guess.message.name for guess in out}
     for quantity in ("ElectricalAngle", "Speed", "Torque", "TorqueCommand", "Irms", "Tstator",
                      "Tde", "Tnde", "Tambient"):  # fmt: skip
         left = [guess for guess in found[quantity] if guess.name not in used]
-        # Of equally likely ones, that of a node of which signals are used already.
+        # Among equally likely guesses, prefer a message from which signals are already used.
         left = [g for g in left if left and g.score >= left[0].score - 1e-9]
         left.sort(key=lambda g: g.message.name not in near)
         if left:
@@ -192,7 +193,7 @@ def chosen(found: dict[str, list[Guess]]) -> list[Guess]:
 
 
 def _form(found: dict[str, list[Guess]], forms: Sequence[tuple[str, ...]]) -> list[Guess]:
-    """The first form of which one message has all, else of which all are there."""
+    """The first form whose parts are all in one message; empty if there is none."""
     for form in forms:
         for first in found[form[0]]:
             rest = [
@@ -205,15 +206,15 @@ def _form(found: dict[str, list[Guess]], forms: Sequence[tuple[str, ...]]) -> li
 
 
 def layout(spec: MessageSpec) -> tuple[object, ...]:
-    """What two drives' messages of one kind have in common: signals and names but for numbers."""
+    """Layout that two drives' messages of one kind share: bits, and names without their numbers."""
     return tuple((re.sub(r"\d+", "#", s.name), s.start, s.length) for s in spec.signals)
 
 
 def step(used: Mapping[int, object], there: Mapping[int, object], drives: int) -> int | None:
-    """By how much the identifiers of one drive and the next differ; None if nothing says it.
+    """Distance of the identifiers from one drive to the next; None if it cannot be found.
 
-    By identifier what a message looks like: used: of the first drive; there: all of a file, or of
-    a log, which says no more than that the identifiers are there.
+    used, there: layouts of messages by identifier. used: of the first drive; there: all of a file,
+    or of a log, which shows only which identifiers are there.
     """
     if drives < 2 or not used:
         return None

@@ -1,8 +1,9 @@
-"""Inverters with messages of their own: read their DBC, and plan how to convert them to ours.
+"""Read the DBC of inverters with messages of their own, and plan the conversion to ours.
 
-Only at start. The messages that the core takes from such a drive are made by `translate`: of our
-kinds, with the foreign signals' own resolution and cycle, 32 bits each so that nothing clips. May
-know: DBCs, configuration. May not know: frames, clocks, buses.
+This happens only at start. `translate` makes the messages that the core receives from such a
+drive: they are of our kinds, with the resolution and cycle of the foreign signals, and 32 bits for
+each signal so that nothing clips. May know: DBCs, configuration. May not know: frames, clocks,
+buses.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ BASES: Final = {
     "PhaseCurrents": 0x180, "StatorVoltages": 0x280, "Motion": 0x380, "Status": 0x1C0,
     "Temperatures": 0x480,
 }  # fmt: skip
-"""Identifiers less the node: those of the contract, which no frame of the bus has here."""
+"""Identifiers of our message set, less the node; for a mapped drive, only translated frames have
+them."""
 CARRIES: Final = {
     "PhaseCurrents": ("Ia", "Ib", "Ic"), "StatorVoltages": ("Ualpha", "Ubeta"),
     "Motion": ("Speed", "Torque"), "Status": ("TorqueCommand", "Irms"),
@@ -35,7 +37,7 @@ CARRIES: Final = {
 }  # fmt: skip
 OWN_CANOPEN: Final = {0x720: "the gateway's heartbeat", 0x0A0: "the gateway's emergencies"}
 LEAST_NS: Final[dict[str, Nanos]] = {"Status": 100 * MS, "Motion": 10 * MS}
-"""No oftener than this, as in our message set: all drives' are compared with one another."""
+"""Shortest cycle, that of our message set, because all drives are compared with one another."""
 _LOWEST: Final = -(1 << 31)
 _FD_SIZES: Final = (12, 16, 20, 24)
 
@@ -43,11 +45,11 @@ _OWN_KEY: Final = re.compile(r"(use|cycle_ms)\.\w+: ")
 
 
 class Plan(NamedTuple):
-    """One drive.
+    """Plan of one drive.
 
-    codec: of the foreign DBC's mapped messages, offset applied; sources: by message number there,
-    (our name, column name, source); spec: ours by kind; trigger: by kind, the quantity with which
-    ours is made.
+    codec: of the foreign DBC's mapped messages, offset applied; sources: by message number of that
+    codec, (our name, column name, source); spec: our message by kind; trigger: by kind, the
+    quantity on whose reception our message is made.
     """
 
     node: int
@@ -58,11 +60,11 @@ class Plan(NamedTuple):
     spec: Mapping[str, MessageSpec]
     trigger: Mapping[str, str]
     sends: Mapping[int, str]
-    """Names of all that the file says such an inverter sends, by identifier, offset applied."""
+    """Names of all messages that the file lists, by identifier, offset applied."""
 
 
 def plans(config: Config) -> list[Plan]:
-    """Of all drives that have signals. Raises ConfigError with every problem of all of them."""
+    """Plans of all drives that have signals. Raises ConfigError with the problems of all drives."""
     mapped = [drive for drive in config.drive if drive.signals is not None]
     if mapped and config.sealed:
         cure = "map them into a DBC of ours, which is signed, or leave out --public-key"
@@ -85,7 +87,7 @@ def plans(config: Config) -> list[Plan]:
 
 
 def fitted(codec: Codec, planned: list[Plan], *, creep: bool = False) -> Codec:
-    """Our message set as the core takes it in: mapped drives' messages are the planned ones.
+    """Our message set as the core receives it, with the planned messages for mapped drives.
 
     creep: the gateway sends its optional messages. Raises ConfigError where identifiers collide.
     """
@@ -100,7 +102,7 @@ def fitted(codec: Codec, planned: list[Plan], *, creep: bool = False) -> Codec:
 
 
 def _apart(codec: Codec, planned: list[Plan], creep: bool) -> None:
-    """Raises ConfigError where an inverter sends what is the gateway's, or two send the same."""
+    """Raise ConfigError if an inverter's identifier is the gateway's or another inverter's."""
     nodes = {plan.node for plan in planned}
     own = {s.key: s.name for s in codec.own(creep=creep) if s.node in (0, *nodes)}
     own |= OWN_CANOPEN
@@ -123,7 +125,7 @@ def _apart(codec: Codec, planned: list[Plan], creep: bool) -> None:
 
 
 def _shared(planned: list[Plan], other: int, plan: Plan) -> set[int]:
-    """Identifiers from which two drives take different signals: one controller of two motors."""
+    """Identifiers from which two drives use different signals: one controller has two motors."""
     (first,) = [p for p in planned if p.node == other]
     out = set()
     for spec in plan.codec.messages:
@@ -140,7 +142,7 @@ def _shared(planned: list[Plan], other: int, plan: Plan) -> set[int]:
 
 
 def given(signals: Signals) -> dict[str, tuple[str, ...]]:
-    """By kind of message of ours, what it is made of; kinds that cannot be made are not there."""
+    """By our kind of message, the quantities it is made of; only kinds that can be made."""
     use = signals.use
     phases, voltages = signals.phases, signals.voltages
     torque = next((n for n in ("Torque", "Iq") if n in use), None)
@@ -157,7 +159,7 @@ def given(signals: Signals) -> dict[str, tuple[str, ...]]:
 
 
 def raw_ends(signal: SignalSpec) -> tuple[int, ...]:
-    """Raw values at the ends of a whole number's range, and of what its bits can hold."""
+    """Raw values at the ends of an integer signal's range, and of the range of its bits."""
     low, high = 0, (1 << signal.length) - 1
     if signal.is_signed:
         low, high = -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
@@ -214,7 +216,7 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
 
 
 def _why(left_out: list[str], name: str) -> str:
-    """What the file's reader says of an entry that it has not used."""
+    """Reason why the reader of the file left out an entry, in brackets; empty if there is none."""
     return next(
         (
             f" ({line})"
@@ -230,7 +232,7 @@ def _messages(
 ) -> tuple[list[MessageSpec], list[str], dict[int, str], list[str]]:
     """The mapped messages, numbered, with offset and cycles; problems; all messages' names.
 
-    Last, entries of the file that cannot be used: none of our business unless they are mapped.
+    The fourth result lists the file's unusable entries, which matter only if they are mapped.
     """
     from dbc.tolerant import read_any_dbc
 
@@ -258,7 +260,7 @@ def _messages(
 
 
 def _scale(name: str, parts: tuple[str, ...], resolution: Mapping[str, float]) -> float:
-    """Resolution that ours has: that of what it is made of; never coarser than a hundredth."""
+    """Resolution of our signal: that of its sources; 0.01 or finer for a computed torque or RMS."""
     if name in resolution:
         return resolution[name]
     known = [resolution[p] for p in parts if p in resolution and p != "ElectricalAngle"]

@@ -1,9 +1,9 @@
-"""Converts frames of other makers' inverters to our kinds, tick by tick; pure.
+"""Convert frames of other makers' inverters to our kinds, tick by tick; pure.
 
-What was not sent is not made up: a value that is missing, invalid or too old becomes the
-not-available code, and a kind whose message does not come is not made. Foreign messages mostly
-have no counter; ours then counts the periods between stamps, so that a frame that is missing shows
-as a gap, to half a period.
+No value is invented: one that is missing, invalid or too old becomes the not-available code, and
+no message of a kind is made while its source message does not arrive. Most foreign messages have
+no counter; our counter then counts the periods between stamps, so that a missing frame shows as a
+gap, to half a period.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from gateway.mapping.plan import BASES, CARRIES, LEAST_NS, Plan, raw_ends
 from gateway.settings.signal_map import Source
 
 JOINED_PERIODS: Final = 1.5
-"""A value that joins one of another message is no older than so many periods of its own."""
+"""Largest age of a value that is combined with one of another message, in its own periods."""
 SILENT_PERIODS: Final = 3
-"""After so many a message that comes again has just been powered up, perhaps."""
+"""After a silence of so many periods, the sender of a message may just have been powered up."""
 APART_NS: Final[Nanos] = MS
-"""Currents, angle and voltages may be stamped so far apart, at most half a period, and are taken
-for one instant: frames of one sample leave one after another."""
+"""Largest distance of the stamps of currents, angle and voltages that count as one instant, but at
+most half a period: the frames of one sample are sent one after another."""
 MOST_STEPS: Final = 15
 SQUARES: Final = 256
-"""Currents that are remembered for `Irms`."""
+"""Number of squared currents kept for `Irms`."""
 NEAR_END_K: Final = 10.0
-"""From there a motor warms up to the end of the range within a few readings, with no jump."""
+"""From this close a motor can warm up to the end of the range; from farther away it is a jump."""
 _ELECTRICAL: Final = ("PhaseCurrents", "StatorVoltages")
 _SQRT3: Final = math.sqrt(3.0)
 _REMEMBERED: Final = ("_received", "_begun", "_counter", "_made", "_theirs", "_their", "_inside",
@@ -48,14 +48,14 @@ Phases = tuple[float | None, float | None, float | None]
 
 
 class Held(NamedTuple):
-    """Last value of a quantity; None: the message came and had none."""
+    """Last value of a quantity; None: the message arrived without a usable value."""
 
     value: float | None
     t_ns: Nanos
 
 
 class Translator:
-    """All mapped drives of one gateway. `take` is the only mutator."""
+    """All mapped drives of one gateway. Only `translate` and `recall` change its state."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class Translator:
         codec: Codec,
         on_derived: Callable[[int, Nanos], None] | None = None,
     ) -> None:
-        """codec: as the core takes frames in, see `plan.fitted`.
+        """Prepare the drives; `codec` is the one with which the core decodes, see `plan.fitted`.
 
         on_derived: called with node and time where one phase is minus the sum of the others.
         """
@@ -72,13 +72,13 @@ class Translator:
         for drive in self._drives:
             for spec in drive.plan.codec.messages:
                 self._routes.setdefault(spec.key, []).append((drive, spec))
-        # Else somebody could pass for the translator.
+        # Otherwise another node could send frames as if the translator had made them.
         self._hidden = {base + plan.node for plan in planned for base in BASES.values()}
 
     def translate(self, frames: Iterable[Frame] | Block, now: Nanos, counts: Counter[str]) -> Block:
-        """Frames of one tick, mapped ones in our words, all others as they are.
+        """Frames of one tick: mapped ones as our messages, all others unchanged.
 
-        counts: what was not used, by cause, and `translated`.
+        counts: increments the number of rejected frames by cause, and `translated`.
         """
         block = frames if isinstance(frames, Block) else block_of(frames)
         out: list[Frame] = []
@@ -97,17 +97,17 @@ class Translator:
         return block_of(out)
 
     def memory(self) -> str:
-        """What it remembers of the frames so far, a Python literal."""
+        """State from the frames so far, as a Python literal."""
         return repr([drive.memory() for drive in self._drives])
 
     def recall(self, memory: str) -> None:
-        """Go on from that. Raises ValueError or SyntaxError for what is no `memory`."""
+        """Restore the state. Raises ValueError or SyntaxError for text that is not a `memory`."""
         for drive, kept in zip(self._drives, literal_eval(memory), strict=True):
             drive.recall(kept)
 
 
 class _Drive:
-    """One mapped drive: what it sent last, and the counters of what is made of it."""
+    """One mapped drive: its last values, and the counters of our messages made from them."""
 
     def __init__(
         self, plan: Plan, codec: Codec, on_derived: Callable[[int, Nanos], None] | None
@@ -125,26 +125,26 @@ class _Drive:
         self._their = 0
         self._squares: deque[float] = deque(maxlen=SQUARES)
         self._inside: dict[str, float] = {}
-        """Last temperatures that were not at an end of their raw range, as the DBC has them."""
+        """Last temperatures that were not at an end of their raw range, in the DBC's unit."""
         self._news: set[str] = set()
-        """What has come since currents were made."""
+        """Quantities received since the last currents were made."""
         self._of = {n: k for k, rows in plan.sources.items() for n, _, _ in rows}
 
     def memory(self) -> dict[str, Any]:
-        """What changes with the frames, of plain types."""
+        """State that changes with the frames, as plain types."""
         kept = {name: getattr(self, name) for name in _REMEMBERED}
         held = {name: tuple(value) for name, value in self._held.items()}
         return {**kept, "_held": held, "_squares": list(self._squares)}
 
     def recall(self, memory: dict[str, Any]) -> None:
-        """Take `memory` back."""
+        """Restore the state from `memory`."""
         for name in _REMEMBERED:
             setattr(self, name, memory[name])
         self._held = {name: Held(*value) for name, value in memory["_held"].items()}
         self._squares = deque(memory["_squares"], SQUARES)
 
     def translate(self, frame: Frame, spec: MessageSpec, counts: Counter[str]) -> list[Frame]:
-        """One frame of this drive; what can be made with it, in the order of the contract."""
+        """Translate one frame of this drive: our frames that it completes, in the fixed order."""
         codec = self.plan.codec
         match, _ = codec.match(frame)
         if match is not Match.OK:
@@ -183,7 +183,7 @@ class _Drive:
     def _jumped_to_end(self, name: str, signal: SignalSpec, reading: Reading) -> bool:
         """Whether a temperature is at an end of its raw range, and was not near it before.
 
-        255, 0x7FFF, -40: what a sensor sends that has no value. A motor warms up to the end.
+        A sensor without a value sends 255, 0x7FFF or -40; a motor approaches the end gradually.
         """
         if name not in CARRIES["Temperatures"] or signal.is_float:
             return False
@@ -194,7 +194,7 @@ class _Drive:
         return last is None or abs(reading.value - last) > NEAR_END_K
 
     def _its_turn(self, kind: str, came: set[str], t_ns: Nanos) -> bool:
-        """came: the quantities of this frame."""
+        """Whether our message of a kind is due; `came`: the quantities of this frame."""
         if kind in _ELECTRICAL:
             return self._one_instant(came, t_ns)
         trigger = self.plan.trigger[kind]
@@ -207,7 +207,7 @@ class _Drive:
         return t_ns - last >= self._specs[kind].cycle_ns - own // 2
 
     def _one_instant(self, came: set[str], t_ns: Nanos) -> bool:
-        """Whether with this frame currents (and voltages, if mapped) of one instant are there."""
+        """Whether this frame completes currents (and voltages, if mapped) of one instant."""
         parts = {*self.plan.signals.phases, *self.plan.signals.voltages}
         most = min(APART_NS, self._specs["PhaseCurrents"].cycle_ns // 2)
         return (
@@ -225,7 +225,7 @@ class _Drive:
         return Frame(t_ns, spec.can_id, bytes(payload), FD)
 
     def _steps(self, kind: str, t_ns: Nanos, cycle: Nanos) -> int:
-        """How many periods after the last one."""
+        """Number of periods since the last message of this kind."""
         if kind in _ELECTRICAL and "Counter" in self.plan.signals.use:
             if kind == _ELECTRICAL[0]:
                 self._their = self._their_steps()
@@ -236,7 +236,7 @@ class _Drive:
         return min(max(1, (t_ns - last + cycle // 2) // cycle), MOST_STEPS)
 
     def _their_steps(self) -> int:
-        """By the drive's own counter; 0 where it stands still: repeated, and told as that."""
+        """Steps of the drive's own counter; 0 if it stands still: E2E then finds a repetition."""
         held = self._held.get("Counter")
         if held is None or held.value is None:
             return 0
@@ -276,7 +276,7 @@ class _Drive:
         return held.value if t_ns - held.t_ns <= JOINED_PERIODS * cycle else None
 
     def _torque(self, t_ns: Nanos) -> float | None:
-        """Measured, or of the magnets alone: 1.5 p psi Iq (no reluctance torque)."""
+        """Measured torque, or the magnets' torque 1.5 p psi Iq (without reluctance torque)."""
         if self._has("Torque"):
             return self._get("Torque", t_ns)
         iq, motor = self._get("Iq", t_ns), self.plan.motor
@@ -299,7 +299,7 @@ class _Drive:
         return _in_stator_frame([self._get(name, t_ns) for name in self.plan.signals.voltages])
 
     def _note_square(self, came: set[str], t_ns: Nanos) -> None:
-        """Sum up currents for `Irms`, where nobody sends it."""
+        """Keep squared currents for `Irms`, where the drive does not send it."""
         signals = self.plan.signals
         if self._has("Irms") or "Status" not in self._specs:
             return
@@ -322,9 +322,9 @@ class _Drive:
 
 
 def three_phases(values: Sequence[float | None]) -> tuple[Phases, bool]:
-    """Ia, Ib, Ic of two or three that are measured; whether one is minus the sum of the others.
+    """Ia, Ib, Ic from two or three measured ones; whether one is minus the sum of the others.
 
-    Of one that is known the others are not: each stays what it is.
+    With only one phase known, the other two stay None.
     """
     a, b, c = (*values, None)[:3]
     if a is not None and b is not None:
@@ -337,7 +337,7 @@ def three_phases(values: Sequence[float | None]) -> tuple[Phases, bool]:
 
 
 def _in_stator_frame(values: Sequence[float | None]) -> tuple[float | None, float | None]:
-    """Alpha and beta as they are, or of d, q and the angle: then each needs all three."""
+    """Alpha and beta as given, or from d, q and the angle; then None if one of the three is."""
     if len(values) == 2:
         return values[0], values[1]
     d, q, angle = values
@@ -347,7 +347,7 @@ def _in_stator_frame(values: Sequence[float | None]) -> tuple[float | None, floa
 
 
 def _turned(d: float, q: float, angle_deg: float) -> tuple[float, float]:
-    """From the rotor's frame into the stator's; the d axis lies on phase a at 0."""
+    """Rotate from the rotor frame into the stationary one; at 0 the d axis lies on phase a."""
     cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     return d * cos - q * sin, d * sin + q * cos
 

@@ -1,7 +1,7 @@
-"""Thermal calibration: what fault-free data says about each motor's sensors.
+"""Thermal calibration: constants of each motor and its sensors, measured in fault-free runs.
 
-A TOML file, written by `traction-gateway calibrate`, read at start. Without it the thermal
-flags stay unknown: a limit that was not measured is a guess.
+They are in a TOML file that `traction-gateway calibrate` writes and the gateway reads at start.
+Without it the thermal flags stay unknown: a limit that was not measured is a guess.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from gateway.settings.sections import Strict
 
 POINTS = ("stator", "drive_end", "non_drive_end")
 COVERAGE = Coverage._fields
-"""Keys of a motor's heat that say how far its filters hold."""
+"""Keys of a motor's heat: how consistent its filters were in fault-free runs."""
 ADDED = ("own_k", "held_back_h", "largest_log_odds")
-"""Keys of the fleet's heat that older files do not have."""
+"""Keys of the fleet's heat that older files lack."""
 NO_HEAT = (
     "the calibration has no thermal model, so nothing can be promised; leave this key out, or "
     "calibrate with a model"
@@ -55,7 +55,7 @@ Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
 class Deferred(Strict):
-    """Built when a calibration is read: most configurations have none."""
+    """Model that pydantic builds only when a calibration is read; most configurations have none."""
 
     model_config = ConfigDict(defer_build=True)
 
@@ -63,10 +63,10 @@ class Deferred(Strict):
 class MotorHeat(Deferred):
     """One motor's thermal model, see `estimators.thermal.model` and `monitor.Known`.
 
-    rates: of its lumps, in the order of `model.NAMES`; offset_k: of the sensors; centre_k: what it
-    differs from the others by in health; noise_k: of readings a second long; inflation, covered,
-    lag_one: see `monitor.Coverage` (None: a file from before they were measured, or too short a
-    log).
+    rates: of its lumps, in the order of `model.NAMES`; offset_k: offsets of the sensors; centre_k:
+    difference from the other motors in health; noise_k: noise of one-second readings; inflation,
+    covered, lag_one: see `monitor.Coverage` (None: the file is older than these keys, or the log
+    was too short to measure them).
     """
 
     rates: tuple[Rate, ...] = Field(min_length=model.RATES, max_length=model.RATES)
@@ -82,10 +82,10 @@ class FleetHeat(Deferred):
     """What the motors' models have in common.
 
     scale: of the disturbances that every motor has; duty: mean speed rad/s, mean squared current
-    A^2, cooling and heating K/s of the runs that it was learnt from: sizes of faults are for them;
-    own_k: K per root of a minute that lumps deviate by themselves, as held-back data shows (None: a
-    file from before this was measured, `monitor.OWN_K`); held_back_h, largest_log_odds: `Hours` of
-    `promise` (None: calibrated without a stated rate of false alarms).
+    A^2, cooling and heating K/s of the runs it was learnt from, for which sizes of faults are
+    given; own_k: random deviation of a lump, K per root of a minute, measured on held-back data
+    (None: the file is older than this key, `monitor.OWN_K` is used); held_back_h,
+    largest_log_odds: `Hours` of `promise` (None: calibrated without a stated rate of false alarms).
     """
 
     scale: Annotated[float, within(1e-6, 1e6, "", "calibrate anew")]
@@ -100,8 +100,8 @@ class FleetHeat(Deferred):
 class MotorCalibration(Deferred):
     """One motor: how it differs from the fleet in health, and how its sensors behave.
 
-    A healthy reading is offset + gain x the fleet's mean: the offset is the sensor's and the
-    place's, the gain the cooling's (3 % less air is 3 % more rise, whatever the duty).
+    A healthy reading is offset + gain x the fleet's mean. The offset comes from the sensor and its
+    place, the gain from the cooling (3 % less air makes 3 % more rise, whatever the duty).
     """
 
     node: Annotated[int, within(1, 16, "", "the n of Drive{n}_Temperatures")]
@@ -113,9 +113,9 @@ class MotorCalibration(Deferred):
 
 
 class Calibration(Deferred):
-    """The fleet: MAISD limits per point and every motor's centring.
+    """The fleet: MAISD limits of each point and the centring of each motor.
 
-    window_s: averaging window the limits were measured with.
+    window_s: averaging window with which the limits were measured.
     maisd_limit_k, deviation_limit_k: (stator, drive end, non-drive end).
     """
 
@@ -128,13 +128,13 @@ class Calibration(Deferred):
 
     @property
     def promise(self) -> Promise | None:
-        """Of the thermal model's alarms, where a rate is stated."""
+        """Promise for the thermal model's alarms; None where no rate is stated."""
         return self._promise
 
     def promising(self, rate: float) -> Calibration:
-        """With the limit for so many false alarms in 1000 h.
+        """Return a copy with the limit for `rate` false alarms in 1000 h.
 
-        Raises ConfigError without a model, or without hours.
+        Raises ConfigError without a thermal model, or without held-back hours.
         """
         heat = self.heat
         if heat is None:
@@ -147,8 +147,8 @@ class Calibration(Deferred):
         return out
 
     def checksum(self) -> str:
-        """Of everything that was learnt; part of the configuration's hash on the bus."""
-        # Keys that a file from before them does not have are no part of its checksum.
+        """SHA-256 of everything that was learnt; part of the configuration's hash on the bus."""
+        # A key that a file lacks because it is older than the key is left out of its checksum.
         older: dict[str, Any] = {}
         if self.heat is not None:
             older["heat"] = {key for key in ADDED if getattr(self.heat, key) is None}
@@ -161,7 +161,7 @@ class Calibration(Deferred):
         return hashlib.sha256(text.encode()).hexdigest()
 
     def known(self, nodes: tuple[int, ...]) -> Known | None:
-        """For the thermal model, in the order of `nodes`; None where the logs could not give it."""
+        """Constants of the thermal model, in the order of `nodes`; None if the logs gave none."""
         table = {m.node: m.heat for m in self.motor}
         cells = [table[n] for n in nodes]
         own = [cell for cell in cells if cell is not None]
@@ -183,14 +183,14 @@ class Calibration(Deferred):
         )
 
     def centring(self, nodes: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Gains and offsets, each (M, 3), in the order of `nodes`. KeyError for an unknown node."""
+        """Gains and offsets, each (M, 3), in the order of `nodes`; KeyError for unknown nodes."""
         table = {m.node: m for m in self.motor}
         cells = [table[n] for n in nodes]
         return np.array([c.gain for c in cells]), np.array([c.offset_k for c in cells])
 
 
 def of(config: Config) -> Calibration | None:
-    """That of a configuration, None without one. Raises ConfigError with every problem."""
+    """Load the calibration of a configuration, if any. Raises ConfigError with every problem."""
     path = config.calibration_path
     if path is None:
         return None
@@ -200,14 +200,14 @@ def of(config: Config) -> Calibration | None:
 
 
 def promise_lines(cells: Calibration | None) -> list[str]:
-    """What a run promises; nothing where no rate is stated."""
+    """Lines that state the promised rate of false alarms; empty where no rate is stated."""
     return [] if cells is None or cells.promise is None else [f"thermal: {cells.promise}"]
 
 
 def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
-    """24 bits that name configuration, DBC (its digest) and calibration: `ConfigHash`.
+    """Hash of configuration, DBC (`dbc` is its digest) and calibration, 24 bits: `ConfigHash`.
 
-    Foreign DBCs that drives' signals are mapped from are a part of it.
+    It covers the foreign DBCs from which drives' signals are mapped.
     """
     mapped = [config.base / d.signals.dbc for d in config.drive if d.signals is not None]
     theirs = "".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in mapped)
@@ -215,7 +215,7 @@ def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
 
 
 def problems_of(error: ValidationError) -> list[str]:
-    """A line per number that cannot be."""
+    """One line for each value that is not valid."""
     return [
         f"{'.'.join(map(str, item['loc']))}: {item['msg'].removeprefix('Value error, ')}"
         for item in error.errors()
@@ -225,9 +225,10 @@ def problems_of(error: ValidationError) -> list[str]:
 def load(
     path: Path, nodes: tuple[int, ...], window_s: float, sealed: str | None = None
 ) -> Calibration:
-    """Read and compare with the configured drives. Raises ConfigError with every problem.
+    """Read a calibration and compare it with the configured drives.
 
-    sealed: SHA-256 that a signature vouches for; a file with another one is not even parsed.
+    sealed: SHA-256 from the signature; a file with another SHA-256 is not even parsed. Raises
+    ConfigError with every problem.
     """
     try:
         content = read_bytes(path)
@@ -243,7 +244,7 @@ def load(
     except ValidationError as error:
         raise ConfigError(str(path), numbered(problems_of(error), text)) from None
     except (OSError, ValueError) as error:
-        # ValueError: no UTF-8, no TOML, or a NUL in the name.
+        # ValueError: not UTF-8, not TOML, or a NUL in the file name.
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     known = {m.node for m in calibration.motor}
     problems = []
@@ -266,7 +267,7 @@ def load(
 
 
 def to_toml(calibration: Calibration) -> str:
-    """Text of the file, with a checksum over the numbers as they stand there."""
+    """Text of the file, with a checksum over the numbers as they are written in it."""
 
     def numbers(values: tuple[float, ...], how: str = ".3f") -> str:
         return "[" + ", ".join(f"{v:{how}}" for v in values) + "]"
@@ -309,7 +310,7 @@ def to_toml(calibration: Calibration) -> str:
                 if (value := getattr(motor.heat, name)) is not None
             ]
     body = "\n".join(lines) + "\n"
-    # Of the numbers as they will be read: rounded.
+    # A checksum of the rounded numbers, because those will be read.
     checksum = Calibration.model_validate(read_toml(body)).checksum()
     return (
         "# Thermal calibration from fault-free data; written by 'traction-gateway calibrate'.\n"

@@ -1,4 +1,4 @@
-"""Configuration: TOML read once, validated whole, every problem listed with its path and cure.
+"""Configuration: TOML, read once and validated as a whole; every problem has its path and cure.
 
 May know: file names and numbers. May not know: buses, clocks, the DBC's contents.
 """
@@ -44,7 +44,7 @@ class ConfigError(Exception):
     """The configuration cannot be used. `problems` lists all of them, one line each."""
 
     def __init__(self, source: str, problems: list[str]) -> None:
-        """Keep the list; the text is one line per problem."""
+        """Keep the list; the exception's text joins all problems."""
         self.problems = [printable(problem) for problem in problems]
         super().__init__(f"{source}: " + "; ".join(self.problems))
 
@@ -64,9 +64,9 @@ class Config(Strict):
     authentication: Authentication | None = None
     base: Path = Field(Path(), exclude=True)
     sealed: dict[str, str] = Field(default_factory=dict, exclude=True)
-    """SHA-256 of the files that a signature vouches for: dbc, calibration. Empty: unsigned."""
+    """SHA-256 of the signed files, by name: dbc, calibration. Empty: unsigned."""
     source: str = Field("configuration", exclude=True)
-    """The file, and its text: for messages."""
+    """Name of the file; with `text`, its content, used in messages."""
     text: str = Field("", exclude=True)
 
     @model_validator(mode="after")
@@ -112,15 +112,15 @@ class Config(Strict):
         return self
 
     def error(self, problems: list[str]) -> ConfigError:
-        """What is wrong with it, with the lines of its file."""
+        """Return an error with these problems and the lines of the file where they are."""
         return ConfigError(self.source, numbered(problems, self.text))
 
     @property
     def on_intruder(self) -> str:
-        """What follows when somebody else sends with our identifiers.
+        """Reaction to another node that sends our identifiers.
 
-        Where receivers can tell our frames from others', unknown flags would only let one forged
-        frame blind them.
+        With authentication receivers reject forged frames; if the flags became unknown as well,
+        one forged frame would be enough to blind the receivers.
         """
         return self.bus.on_intruder or ("tell" if self.authentication else "unknown")
 
@@ -130,7 +130,7 @@ class Config(Strict):
         return {"bench": BENCH_MOTOR, "traction_350kw": TRACTION_350KW, **self.motor}
 
     def unmapped(self) -> Config:
-        """The same drives, as if they spoke our message set: those can be simulated."""
+        """The same drives, as if they spoke our message set: only such drives can be simulated."""
         if all(drive.signals is None for drive in self.drive):
             return self
         drives = tuple(drive.model_copy(update={"signals": None}) for drive in self.drive)
@@ -143,7 +143,7 @@ class Config(Strict):
 
     @property
     def dbc_path(self) -> Path:
-        """Where the DBC is: beside the configuration, else the shipped file of that name."""
+        """Path of the DBC: beside the configuration, else the shipped file of that name."""
         beside = self.base / self.dbc.file
         if self.dbc.file in BUILTIN_DBC and not beside.is_file():
             return shipped_dbc(self.dbc.file)
@@ -151,11 +151,11 @@ class Config(Strict):
 
     @property
     def calibration_path(self) -> Path | None:
-        """The thermal calibration, relative to the configuration."""
+        """Path of the thermal calibration, relative to the configuration; None without one."""
         return self.base / self.thermal.calibration if self.thermal.calibration else None
 
     def hash24(self, dbc: str = "", calibration: str = "") -> int:
-        """24 bits that name this configuration on the bus (`Gateway_Info.ConfigHash`).
+        """Hash of this configuration, 24 bits, as sent on the bus (`Gateway_Info.ConfigHash`).
 
         dbc: digest of the DBC file; calibration: checksum of the thermal one, if there is any.
         """
@@ -174,7 +174,7 @@ _KEY: Final = re.compile(r"[A-Za-z]\w*: ")
 def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
     """One line per problem: path, what is wrong, what was given.
 
-    shared: names of inverters by position of the drive that has one's signals.
+    shared: by position of a drive, the name of the inverter whose signals it has.
     """
     lines = []
     for item in error.errors():
@@ -187,7 +187,7 @@ def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
             near = did_you_mean(Config, item["loc"])
             text = f"unknown key{near or '; remove it or correct its name'}"
         for part in text.split("\n"):
-            # A model names its key, or speaks of itself.
+            # A model's own message starts with a key, or concerns the model as a whole.
             joint = "." if _KEY.match(part) else ": "
             lines.append(f"{path}{joint}{part}" if path else part)
     return list(dict.fromkeys(lines))
@@ -198,7 +198,7 @@ def parse(
 ) -> Config:
     """Validate a parsed TOML document. Raises ConfigError with every problem.
 
-    text: what was parsed, for the lines of the problems.
+    text: the TOML that was parsed, to find the lines of the problems.
     """
     document, shared, problems = share(raw)
     try:
@@ -212,7 +212,7 @@ def parse(
 
 
 def check_seal(path: Path, content: bytes, sealed: str) -> None:
-    """Raises ConfigError unless the content is what a signature vouches for (SHA-256)."""
+    """Raise ConfigError unless the content has the SHA-256 of the signed file."""
     if hashlib.sha256(content).hexdigest() != sealed:
         raise ConfigError(
             str(path),
@@ -225,8 +225,8 @@ def load(
 ) -> Config:
     """Read and validate a file; None gives the default: three drives on nodes 1-3.
 
-    sealed: SHA-256 of the files that a signature vouches for; this one, `config`, is not even
-    parsed if it is another. changes: keys that override the file's, as `section={"key": value}`.
+    sealed: SHA-256 of the signed files, by name; this file, `config`, is not even parsed if its
+    SHA-256 differs. changes: keys that override the file's, as `section={"key": value}`.
     """
     if path is None:
         return parse(changes, "command line")

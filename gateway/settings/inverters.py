@@ -1,4 +1,4 @@
-"""`[inverter.NAME]`: signals that several drives share, written once."""
+"""`[inverter.NAME]`: signals that several drives share and that are written only once."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 def share(raw: Mapping[str, Any]) -> tuple[dict[str, Any], dict[int, str], list[str]]:
-    """A configuration in which each drive has the `signals` of its `inverter`.
+    """Return a configuration in which each drive has the `signals` of its `inverter`.
 
-    `id_offset` of the drive stands for the inverter's. Returns the document, the inverters' names
-    by position of the drive, and all problems.
+    The drive's `id_offset` replaces the inverter's. Returns the document, the inverters' names by
+    position of the drive, and all problems.
     """
     inverters, drives = raw.get("inverter", {}), raw.get("drive")
     out = {key: value for key, value in raw.items() if key != "inverter"}

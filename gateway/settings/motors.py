@@ -1,6 +1,6 @@
 """`[motor.NAME]`: parameters of a motor, their bounds, and whether they are consistent.
 
-Bounds hold every permanent-magnet motor from 0.5 kW to 2 MW. May know: numbers. May not know:
+The bounds admit every permanent-magnet motor from 0.5 kW to 2 MW. May know: numbers. May not know:
 drives, buses, estimators.
 """
 
@@ -14,13 +14,13 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from dbc.bounds import Within, within
 
 TORQUE_RATIO: Final = Within(0.25, 2.5, "", "")
-"""T_rated over what the magnets make of I_rated: reluctance torque, saturation and a rated current
-stated as root mean square stay within it; a slip of the decimal point does not."""
+"""T_rated over the torque of the magnets at I_rated: reluctance torque, saturation and a rated
+current stated as RMS stay within these bounds; a misplaced decimal point does not."""
 ELECTRICAL_S: Final = Within(1e-4, 2.0, "s", "")
 """L_s / R_s: bench 12 ms, 350 kW motor 38 ms."""
 SPIN_UP: Final = Within(5, 1e5, "rad/s2", "")
-"""T_rated / J: bench 750, 350 kW motor with its wheelset 72, a bare servo motor 20,000 rad/s2. A
-rotor that takes more than rated torque to follow its train at 1 m/s2 is none."""
+"""T_rated / J: bench 750, 350 kW motor with its wheelset 72, a bare servo motor 20,000 rad/s2. No
+real rotor needs more than rated torque to follow its train at 1 m/s2."""
 FRICTION_SPEED_RAD_S: Final = 100.0
 """B times this may not exceed T_rated."""
 
@@ -42,7 +42,7 @@ class Motor(BaseModel):
 
     @property
     def torque_nm(self) -> float:
-        """What the magnets make of the rated current."""
+        """Torque of the magnets at the rated current, Nm."""
         return self.k_p * self.pole_pairs * self.psi_pm * self.I_rated
 
     def voltage(self, w_e: float, i_q: float) -> float:
@@ -84,8 +84,8 @@ class Motor(BaseModel):
 BENCH_MOTOR: Final = Motor(
     R_s=0.28, L_s=3.465e-3, psi_pm=0.1989, pole_pairs=4, J=0.04, I_rated=25.0, T_rated=30.0
 )
-"""The motor of the adhesion paper (its constants are not in the paper: docs/papers.md)."""
+"""The motor of the adhesion paper, which does not state its constants: see docs/papers.md."""
 TRACTION_350KW: Final = Motor(
     R_s=0.08, L_s=3.02e-3, psi_pm=1.104, pole_pairs=2, J=11.0, I_rated=240.4, T_rated=796.0
 )
-"""The thermal paper's 350 kW, 1443 V, 170 A, 140 Hz as a magnet machine: `sim.physics.plant`."""
+"""The thermal paper's motor (350 kW, 1443 V, 170 A, 140 Hz) as a PMSM: `sim.physics.plant`."""

@@ -1,4 +1,4 @@
-"""Sections of the configuration: every key with its bounds and their reason.
+"""Sections of the configuration: every key with its bounds and the reason for them.
 
 May know: numbers. May not know: files, buses, clocks, the DBC's contents.
 """
@@ -28,7 +28,7 @@ class Strict(BaseModel):
 
 
 class Extended(Strict):
-    """A section to which keys were added: with their defaults it has the hash of before them."""
+    """Section to which keys were added: with their defaults its hash is the one before them."""
 
     ADDED: ClassVar[tuple[str, ...]]
 
@@ -79,13 +79,13 @@ class Bus(Strict):
 
     @property
     def options(self) -> dict[str, Any]:
-        """Those of them that are python-can's and were given."""
+        """Options of python-can that were given."""
         given = self.model_dump(exclude={"on_intruder", "send_on"})
         return {key: value for key, value in given.items() if value is not None}
 
 
 class Loop(Strict):
-    """`[loop]`."""
+    """`[loop]`: rate of the ticks."""
 
     rate_hz: int = 100
 
@@ -117,7 +117,7 @@ class Drive(Extended):
     node: Annotated[int, within(1, 16, "", "the n of Drive{n}_PhaseCurrents")]
     motor: str = "bench"
     sensors: tuple[SensorName, ...] = get_args(SensorName)
-    """Temperature sensors that the motor has; the others' signals are never looked at."""
+    """Temperature sensors that the motor has; signals of other sensors are ignored."""
     signals: Signals | None = Field(None, description="of an inverter with messages of its own")
 
     @field_validator("sensors")
@@ -146,11 +146,11 @@ class Estimator(Strict):
     min_speed_rad_s: Annotated[
         float, within(1, 300, "rad/s", "electrical; below it flags stay unknown")
     ] = 20.0
-    """Electrical; below: not observable."""
+    """Electrical speed; below it, load and angle are not observable."""
 
 
 WITHOUT_MEMORY_MS: Final = {"raise_ms": 20, "raise_severe_ms": 10, "clear_ms": 30}
-"""Times of detectors that judge each tick by itself, where they are not given."""
+"""Default times of detectors that evaluate each tick by itself."""
 
 
 class Adhesion(Extended):
@@ -165,9 +165,9 @@ class Adhesion(Extended):
         "torque", description="what the paper's VB compares; the others compare torque"
     )
     tolerance: Annotated[float, within(0, 1, "", "a share of the bound: 1 is one sweep")] = 0.0
-    """Of the paper's VB: sweeps end once the bound grows by less; 0: five sweeps."""
+    """For the paper's VB: sweeps end once the bound grows by less; 0: five sweeps."""
     reuse: Annotated[float, within(0, 0.99, "", "with 1 nothing new would be learnt")] = 0.0
-    """Of the paper's VB: share of the last posterior in the next prior; 0: none, or 0.5 with
+    """For the paper's VB: share of the last posterior in the next prior; 0: none, or 0.5 with
     `paper_vb_reuse`."""
     spread_nm: Annotated[
         float,
@@ -181,20 +181,20 @@ class Adhesion(Extended):
         float, within(0.01, 0.69, "", "0.7 is sent while the probability is not known")
     ] = 0.5
     raise_ms: Milliseconds = 10
-    """This and the next two: a tick longer with a detector without memory."""
+    """The defaults of this and the next two are 10 ms longer for a detector without memory."""
     raise_severe_ms: Milliseconds = 0
-    """Where a loss is certain; other detectors than `switching`: where a third of the load is
-    missing."""
+    """Used where a loss is certain; with detectors other than `switching`, where a third of the
+    load is missing."""
     clear_ms: Hold = 20
     good_ms: Hold = 50
     """Good evidence needed before the first `Adhering`."""
     send_creep: bool = False
-    """`Drive{n}_Adhesion` is sent: creep and utilisation of each drive, every 20 ms."""
+    """Whether `Drive{n}_Adhesion` is sent: creep and utilisation of each drive, every 20 ms."""
 
     @model_validator(mode="before")
     @classmethod
     def _times(cls, given: Any) -> Any:
-        """A detector with a memory has looked more than once: the others take a tick longer."""
+        """Give detectors without memory longer times: `switching` has used several ticks."""
         if not isinstance(given, dict) or given.get("detector", "switching") == "switching":
             return given
         return {**WITHOUT_MEMORY_MS, **given}
@@ -210,19 +210,19 @@ class Thermal(Extended):
         "model", description="a thermal model of each motor, or only how they differ"
     )
     limit_k: Annotated[float, within(0.1, 300, "K", "that a motor may grow warmer")] = 10.0
-    """That a motor may grow warmer than the others."""
+    """How much warmer than the others a motor may become."""
     window_s: Annotated[float, within(0.1, 3600, "s", "of the moving average, in seconds")] = 5.0
-    """Causal moving average."""
+    """Window of the causal moving average."""
     raise_s: Seconds = 1.0
     clear_s: Seconds = 5.0
     false_alarms_per_1000_h: (
         Annotated[float, within(0.001, 1000, "", "per 1000 h of operation: 1 is usual")] | None
     ) = Field(None, description="of the thermal model; None: none stated")
-    """From which the limit follows: `estimators.thermal.promise`."""
+    """The alarm limit follows from this rate: `estimators.thermal.promise`."""
 
 
 class Canopen(Extended):
-    """`[canopen]`: only with `nmt_master` does the gateway ever send NMT, node-addressed."""
+    """`[canopen]`: the gateway sends NMT (node-addressed) only with `nmt_master`."""
 
     ADDED = ("heartbeat_ms",)
 
@@ -238,7 +238,7 @@ class Canopen(Extended):
 
 
 class Authentication(Strict):
-    """`[authentication]`: flags are authenticated if the section is there. Files, never keys."""
+    """`[authentication]`: if present, flags are authenticated. It names files, never keys."""
 
     key: str = Field("auth.key", min_length=1, description="credential, or file beside this one")
     trip: str = Field("trip", min_length=1, description="file that counts the starts")

@@ -1,4 +1,4 @@
-"""`[drive.signals]`: which signals of a foreign DBC stand for ours. Names and numbers only."""
+"""`[drive.signals]`: which signals of a foreign DBC replace ours. Names and numbers only."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ UNITS: Final[dict[str, str]] = {
     **dict.fromkeys(("Tstator", "Tde", "Tnde", "Tambient"), "degC"),
     "ElectricalAngle": "deg", "Speed": "rpm", "Counter": "",
 }  # fmt: skip
-"""What `value = scale * (the DBC's physical value) + offset` has to be in; speed is the rotor's."""
+"""Unit of `value = scale * (the DBC's physical value) + offset`; speed is the rotor's."""
 
 
 CURRENTS: Final = (("Ia", "Ib"), ("Ialpha", "Ibeta"), ("Id", "Iq"))
 VOLTAGES: Final = (("Ualpha", "Ubeta"), ("Ud", "Uq"))
-"""Forms of the same thing: one of them is mapped, whole."""
+"""Alternative forms of one vector; a configuration maps exactly one, with all its parts."""
 
 
 LEAST_SCALE: Final = 1e-9
@@ -42,7 +42,7 @@ class Source(BaseModel):
     offset: Annotated[float, within(-1e6, 1e6, "", "no offset is so large")] = 0.0
     not_available: tuple[Raw, ...] = Field((), description="raw values that mean no value")
     settle_ms: Annotated[float, within(0, 60_000, "ms", "after power-up, or a silence")] = 0.0
-    """The signal is not used for this time."""
+    """Time during which the signal is not used."""
 
     @model_validator(mode="before")
     @classmethod
@@ -68,7 +68,7 @@ class Source(BaseModel):
 
 
 class Signals(BaseModel):
-    """`[drive.signals]`: a foreign message set, and what of it is what."""
+    """`[drive.signals]`: a foreign message set, and which of our quantities its signals are."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -104,7 +104,7 @@ class Signals(BaseModel):
 
     @property
     def phases(self) -> tuple[str, ...]:
-        """What phase currents are made of; empty where they cannot be."""
+        """Quantities from which phase currents are computed; empty where they cannot be."""
         form = next((form for form in CURRENTS if form[0] in self.use), ())
         if form == CURRENTS[2]:
             return (*form, "ElectricalAngle") if "ElectricalAngle" in self.use else ()
@@ -112,6 +112,6 @@ class Signals(BaseModel):
 
     @property
     def voltages(self) -> tuple[str, ...]:
-        """What the stator voltages are made of."""
+        """Quantities from which the stator voltages are computed; empty without any."""
         form = next((form for form in VOLTAGES if form[0] in self.use), ())
         return (*form, "ElectricalAngle") if form == VOLTAGES[1] else form

@@ -1,1 +1,1 @@
-"""Both papers, their rivals, and evaluation: not needed to run on a bus."""
+"""Reproduction of both papers, and evaluation: not needed to run on a bus."""

@@ -1,8 +1,8 @@
-"""Learns a thermal calibration from fault-free runs: centring first, then the spread left.
+"""Learn a thermal calibration from fault-free runs: first the centring, then the remaining spread.
 
 The limits are the largest MAISD and deviation of the averaged, centred fault-free data times
 a margin. The moving average makes neighbouring samples dependent, so a Gaussian quantile of
-the single sample would be wrong; the maximum of what was really seen is not.
+single samples would be wrong; the measured maximum is not.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from gateway.study.calibration_fit import Fit, fits
 from gateway.study.temperature_reader import Cycles
 
 FLOOR_K = (0.5, 1.0)
-"""Smallest MAISD and deviation limits, K. A calibration run is never as varied as service:
-a motor that was cut for a second, or sits in another draught, differs by this much."""
+"""Smallest MAISD and deviation limits, K. A calibration run never varies as much as service:
+a motor that was cut out for a second, or has another draught, differs by this much."""
 
 
 FIT_SHARE = 0.7
 FEWEST_SECONDS = 300
-"""Of a run: less says nothing of how motors warm."""
+"""Fewest seconds of a run; a shorter one does not show how motors warm up."""
 NEEDED = {
     "square": "the current (phase currents, or Irms in Status)",
     "speed": "the speed (Motion)",
     "ambient": "the ambient temperature (Temperatures)",
 }
-"""Of each second, by the name in `Sample`."""
+"""Quantities needed in each second, by their name in `Sample`."""
 NO_HOUR = (
     "needs two logs or more; no model is learnt from the last one, which gives the limit and must "
     "have an hour at least"
 )
 SPAN_K = 5.0
-"""The fleet's mean must move this much over the logs before a gain is learnt."""
+"""Least range of the fleet's mean over the logs with which a gain is learnt."""
 
 
 Array = NDArray[np.float64]
@@ -67,16 +67,16 @@ class Sample(NamedTuple):
 
 
 class Learner:
-    """Collects window averages and sensor behaviour, cycle by cycle."""
+    """Collector of window averages and sensor behaviour, cycle by cycle."""
 
     def __init__(self, nodes: tuple[int, ...], window_s: float, *, promises: bool = False) -> None:
-        """Remember for which motors and which window.
+        """Prepare for these motors and this window.
 
         promises: a rate of false alarms is stated, so no model is learnt from the last log.
         """
         self.nodes, self.promises = nodes, promises
         self.hours: Hours | None = None
-        """Of the last log, where a rate is stated."""
+        """Hours of the last log, if a rate is stated."""
         self.window_s = window_s
         self.means: list[np.ndarray] = []
         shape = (len(nodes), len(POINTS))
@@ -84,24 +84,24 @@ class Learner:
         self.step_k = np.zeros(shape)
         self.samples = 0
         self.fitted = np.ones(shape, dtype=np.bool_)
-        """(N, P): which motor has which sensor, as last seen."""
+        """(N, P): which motor has which sensor, from the last cycles."""
         self.seconds: list[list[Sample]] = []
-        """Of every log, second by second."""
+        """Samples of every log, second by second."""
         self.dt_s = 1.0
         self.fits: list[Fit] = []
         self.coverage: Coverage | None = None
-        """Of every motor, once a model was learnt."""
+        """Coverage of every motor, once a model has been learnt."""
         self._last: np.ndarray | None = None
 
     def begin(self) -> None:
-        """A new log starts: nothing is compared across the cut."""
+        """Start a new log: nothing is compared across the cut."""
         self._last = None
         self.seconds.append([])
 
     def add(self, cycles: Cycles, fitted: NDArray[np.bool_], dt_s: float) -> None:
-        """The next temperature cycles of the log.
+        """Add the next temperature cycles of the log.
 
-        fitted: (M, P) sensors that there are; dt_s: from one second to the next.
+        fitted: (M, P) which sensors exist; dt_s: time from one `Sample` to the next.
         """
         self.dt_s = dt_s
         for mean in cycles.second[cycles.second_complete]:
@@ -157,7 +157,7 @@ class Learner:
         centred = (means - offset) / gain
         compared = [maisd.compare(m, self.fitted) for m in centred]
         spreads, apart = (np.array(part) for part in zip(*compared, strict=True))
-        # NaN: a sensor that is not there, or that no other motor has. The floors stand then.
+        # NaN: a sensor that does not exist, or that no other motor has. The floors apply then.
         spread = np.nan_to_num(spreads).max(axis=0)
         limit = np.nan_to_num(np.abs(apart)).max(axis=(0, 1))
         try:
@@ -168,7 +168,7 @@ class Learner:
     def _calibration(
         self, gain: np.ndarray, offset: np.ndarray, spread: np.ndarray, limit: np.ndarray
     ) -> Calibration:
-        """Raises ValidationError where what was learnt cannot be."""
+        """Make the calibration. Raises ValidationError if a learnt value is out of bounds."""
         known = self._known()
         fleet = known and FleetHeat(
             scale=known.scale, duty=tuple(known.duty.tolist()), own_k=known.own_k,
@@ -194,9 +194,10 @@ class Learner:
         )
 
     def _known(self) -> Known | None:
-        """The thermal model of every motor; None where the logs do not tell enough.
+        """Learn the thermal model of every motor; None if the logs do not contain enough.
 
-        Parameters come from all logs but the last (of one log: its first 70 %), the spread from it.
+        Parameters come from all logs but the last (of one log: its first 70 %), the spread from
+        the last one. With a stated rate, the last of several logs is first set aside for the hours.
         """
         runs = [record for log in self.seconds if (record := self._record(log)) is not None]
         own = runs.pop() if self.promises and len(runs) > 1 else None
@@ -216,9 +217,9 @@ class Learner:
         return known
 
     def _record(self, log: list[Sample]) -> Record | None:
-        """A log's seconds from the first with everything known; None without one.
+        """A log's seconds from the first one with everything known; None if there is none.
 
-        A second without current, speed or ambient has those of the second before.
+        A second without current, speed or ambient gets the values of the second before.
         """
         if not log:
             return None
@@ -238,19 +239,19 @@ class Learner:
 
 
 def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(L, M) with gaps filled by what was before; NaN before the first number."""
+    """Values (L, M) with gaps filled by the last number; NaN before the first number."""
     rows = np.arange(len(values))[:, None]
     last = np.maximum.accumulate(np.where(np.isfinite(values), rows, 0), axis=0)
     return np.take_along_axis(values, last, axis=0)
 
 
 def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Of the points, as the calibration has them."""
+    """Values of the three points as a tuple of floats, as in the calibration."""
     return (float(values[0]), float(values[1]), float(values[2]))
 
 
 def _motor_heat(known: Known, j: int) -> MotorHeat:
-    """Motor j's part of what was learnt."""
+    """Part of the learnt model for motor j."""
     found = known.coverage
     measured = found is not None and bool(np.isfinite(found.covered[j]).all())
     return MotorHeat(
@@ -267,8 +268,8 @@ def _motor_heat(known: Known, j: int) -> MotorHeat:
 def _against_fleet(means: np.ndarray, fitted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares gain and offset (M, P) of every motor's points on the fleet's mean.
 
-    means: (T, M, P) window averages; fitted: (M, P), the sensors there are: one that is not has
-    gain 1 and offset 0 and is in no mean. One duty alone cannot tell gain from offset: gain 1.
+    means: (T, M, P) window averages; fitted: (M, P) which sensors exist; a missing one has gain 1
+    and offset 0 and is in no mean. One duty alone does not separate gain from offset: gain 1.
     """
     fleet = (means * fitted).sum(axis=1, keepdims=True) / np.maximum(fitted.sum(axis=0), 1)
     centre = fleet.mean(axis=0)

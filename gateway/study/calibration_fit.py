@@ -1,7 +1,7 @@
-"""How far a calibration explains its motors, on fault-free data that its parameters have not seen.
+"""How well a calibration explains its motors, on fault-free data that was held back from the fit.
 
-The model runs by itself over the held-back part, from its first readings on. The first half of
-what is left says how far off it usually is; the second half shows whether that is true later, too.
+The model runs without correction over the held-back data, starting at its first readings. The
+first half of the residuals gives the usual error; the second half shows whether it stays so.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from estimators.thermal.system_identification import first_readings
 Array = NDArray[np.float64]
 
 LEAST_INSIDE: Final = 0.8
-"""Of the second half; normal errors would be inside for 95 % of it."""
+"""Least share of the second half within two sigma; normal errors would be inside for 95 %."""
 
 
 class Fit(NamedTuple):
-    """Of one motor, on K seconds; NaN: it has no such sensor.
+    """Fit of one motor, on K seconds; NaN: the motor has no such sensor.
 
     t_s (K,); measured_c and modelled_c (K, 3) at `POINTS`; sigma_k (3,) of the first half; error_k
-    (3,): root mean square over both; inside (3,): share of the second half within two sigma.
+    (3,): root mean square over both halves; inside (3,): share of the second half within two sigma.
     """
 
     node: int
@@ -41,12 +41,12 @@ class Fit(NamedTuple):
 
     @property
     def explained(self) -> bool:
-        """Whether each sensor stays where the first half says."""
+        """Whether each sensor stays within the band of the first half (`LEAST_INSIDE`)."""
         return bool((np.nan_to_num(self.inside, nan=1.0) >= LEAST_INSIDE).all())
 
 
 def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
-    """One for each motor."""
+    """Fit of each motor, in the order of `nodes`."""
     modelled = predict(known.parameters, inputs_of(held_back), first_readings(held_back))
     off = held_back.temperature - modelled
     half = len(off) // 2
@@ -69,14 +69,14 @@ def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
 
 
 def _mean(values: Array) -> Array:
-    """Along the first axis, of what is known; NaN where nothing is."""
+    """Mean of the finite values along the first axis; NaN where there are none."""
     known = np.isfinite(values)
     mean: Array = np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)
     return mean
 
 
 def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
-    """A line for each motor of whose filters it is known how far they hold."""
+    """A line for each motor with a measured coverage, and a note on filters that do not hold."""
     out = [
         f"drive {node}: filters widened {inflation:.2f} times; their band of 95 % then has "
         f"{100.0 * light:.0f} % of the blocks with less and {100.0 * heavy:.0f} % of those with "
@@ -94,7 +94,7 @@ def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
 
 
 def lines(found: Sequence[Fit]) -> list[str]:
-    """A line for each motor, and what follows from those that the model does not explain."""
+    """A line for each motor, and a note if there are motors that the model does not explain."""
     hours = (found[0].t_s[-1] - found[0].t_s[0]) / 3600.0
     out = [
         f"On {hours:.2f} h that the fit has not seen: error of the model, and for how much of the "
@@ -117,7 +117,7 @@ def lines(found: Sequence[Fit]) -> list[str]:
 
 
 def draw(folder: Path, found: Sequence[Fit]) -> list[Path]:
-    """`drive<n>.svg` of each: measured and modelled, and what is left, with its band."""
+    """Draw `drive<n>.svg` of each motor: measured, modelled, and the residual with its band."""
     from gateway.reports.figures import (
         BLUE,
         GREEN,

@@ -1,20 +1,20 @@
 """Distributed variational Bayes: the outlook of paper `adhesion`, section 6.
 
-Each drive's node holds its own observation only and talks to its neighbours. All that the
-sweep (32)-(47) of `paper_vb` needs of the others are sums over the drives: S0, S1, S2 of its
-moments (sums of r, r d, r d d' with d = x - m), and for the bound the entropy. Every node adds
-them up with the others and then updates q(pi, mu, Lambda) for itself; q(I_i) never leaves
-node i. No Hamiltonian cycle is needed, any connected graph will do. Two ways to add up:
+Each drive's node holds only its own observation and exchanges messages with its neighbours. The
+sweep (32)-(47) of `paper_vb` needs only sums over the drives from them: S0, S1, S2 of the
+moments (sums of r, r d, r d d' with d = x - m), and for the bound the entropy. The nodes add
+these up together, and each then updates q(pi, mu, Lambda) for itself; q(I_i) never leaves
+node i. No Hamiltonian cycle is needed, only a connected graph. There are two ways to add up:
 
-- `TREE`: a flood from node 0 leaves a spanning tree (each node's parent is the first it heard
-  of, the lowest number among equals); sums run to the root and the total runs back, 2 (N - 1)
+- `TREE`: a flood from node 0 leaves a spanning tree (each node's parent is the first sender it
+  received, the lowest number among equals); sums go to the root and the total comes back, 2 (N - 1)
   messages a sweep. Exact: all nodes hold the same bits.
 - `CONSENSUS`: no root and no tree; Metropolis-weighted averaging with all neighbours, 2 E
   messages a round (E edges), until maximum and minimum over the nodes agree. Both are flooded
   along, so all nodes stop in the same round. Each node knows N.
 
-The product's priors (`variational`) fit in as `prior` and `start`; but its starts at every
-drive's load would tell every load to all, and then each node can as well do it all by itself.
+The product's priors (`variational`) can be used as `prior` and `start`; but its starts at every
+drive's load would send every load to all nodes, and then each node could compute everything itself.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from gateway.study.network import Consensus, Graph, Traffic, Tree, Wires
 
 
 class Exchange(StrEnum):
-    """How the nodes add up."""
+    """How the nodes add up their sums."""
 
     TREE = "tree"
     CONSENSUS = "consensus"
 
 
 class Result(NamedTuple):
-    """What the nodes hold at the end.
+    """Values in the nodes at the end.
 
     r1: (N,) E[I_i], each from its own node; m: (N, 2, D) every node's copy of the component
-    means; bound: (N, S) every node's lower bound after each sweep; sweeps: how many.
-    agreed: false where consensus gave up before its tolerance.
+    means; bound: (N, S) every node's lower bound after each sweep; sweeps: their number S.
+    agreed: False if consensus gave up before it reached its tolerance.
     setup: traffic before the first sweep (tree and preset); sweeping: traffic of all sweeps.
     """
 
@@ -56,7 +56,7 @@ class Result(NamedTuple):
 
 
 def pack(s: Moments, entropy: Array) -> Array:
-    """A node's message: S0, S1, upper triangles of S2, entropy; 7 numbers for D = 1, 13 for 2."""
+    """Pack a node's message: S0, S1, upper triangles of S2, entropy; 7 numbers (D = 2: 13)."""
     upper = np.triu_indices(s.S1.shape[-1])
     return np.concatenate([s.S0.ravel(), s.S1.ravel(), s.S2[0][:, *upper].ravel(), entropy])
 
@@ -92,10 +92,10 @@ def infer(
 ) -> Result:
     """`paper_vb.infer` of one tick, x (N, D), over the network `near`.
 
-    prior, start: known to all nodes (T = 1); where None, the nodes first agree on the largest
-    load and take the paper's prior (D = 1). tolerance: stop by the bound as `paper_vb.infer`;
+    prior, start: known to all nodes (T = 1); without a prior, the nodes first agree on the largest
+    load and use the paper's prior (D = 1). tolerance: stop by the bound as `paper_vb.infer` does;
     consensus then floods the decision too, because the nodes' copies differ in the last digits.
-    Raises ValueError where D = 2 has no prior or the graph has another number of nodes.
+    Raises ValueError if D = 2 has no prior or the graph has another number of nodes.
     """
     n, D = x.shape
     if n != len(near):

@@ -1,7 +1,7 @@
 """Scoring of detectors: all measures of one run, pooled over runs, as a table.
 
-All of it is read from the frames that the gateway sends: flags from `Gateway_Adhesion`, loss
-probability and load from `Drive{n}_Estimate`. Knows nothing of where the frames came from.
+The measures come from the frames that the gateway sends: flags from `Gateway_Adhesion`, loss
+probability and load from `Drive{n}_Estimate`. May not know: where the frames came from.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ Ints = NDArray[np.int64]
 LEVELS: Final = 201
 """Values of `LossProbability` on the wire: 0 to 100 % in steps of 0.5 %."""
 BINS: Final = 10
-"""Of the reliability diagram."""
+"""Bins of the reliability diagram."""
 
 
 class Estimates(NamedTuple):
-    """One drive's estimates: t_s (M,); probability (M,) 0..1 and load (M,) Nm, NaN if not said."""
+    """One drive's estimates: t_s (M,); probability (M,) 0..1 and load (M,) Nm, NaN if not sent."""
 
     t_s: Array
     probability: Array
@@ -45,7 +45,7 @@ class Estimates(NamedTuple):
 
 
 class GatewayOutput(NamedTuple):
-    """What the gateway said in one run.
+    """Decoded output of the gateway in one run.
 
     t_s (T,); flags (T, N) and common (T,), values of `Flag`; estimates per drive.
     """
@@ -57,11 +57,12 @@ class GatewayOutput(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What came out of one run, or of several pooled.
+    """Measures of one run, or of several runs pooled.
 
-    flags: of the drives; common: of `CommonMode` against all drives lost together. levels
-    (2, LEVELS): judged estimates by truth (0 healthy, 1 lost) and probability; silent (2,): those
-    without one. square_nm2, loads: sum of squared load errors and how many there are.
+    flags: score of the drives' flags; common: of `CommonMode`, against losses of all drives
+    together. levels (2, LEVELS): number of judged estimates by truth (0 healthy, 1 lost) and
+    probability; silent (2,): of those without a probability. square_nm2, loads: sum of squared
+    load errors, and their number.
     """
 
     flags: Score
@@ -72,7 +73,7 @@ class Measured(NamedTuple):
     loads: int
 
     def plus(self, other: Measured) -> Measured:
-        """Both pooled."""
+        """Pool both."""
         return Measured(
             self.flags.plus(other.flags),
             self.common.plus(other.common),
@@ -84,19 +85,19 @@ class Measured(NamedTuple):
 
     @property
     def load_rmse_nm(self) -> float:
-        """Root mean square of estimated minus true load; NaN where nothing was estimated."""
+        """Root mean square of estimated minus true load; NaN if no load was estimated."""
         return math.sqrt(self.square_nm2 / self.loads) if self.loads else math.nan
 
 
 def nothing() -> Measured:
-    """The pool before the first run."""
+    """Empty pool, before the first run."""
     return Measured(
         Score(), Score(), np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64), 0.0, 0
     )
 
 
 def pooled(runs: Iterable[Measured]) -> Measured:
-    """All runs together."""
+    """Pool all runs."""
     total = nothing()
     for run in runs:
         total = total.plus(run)
@@ -157,7 +158,7 @@ def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) ->
             levels[true] += np.bincount(raw, minlength=LEVELS)
             silent[true] += len(judged) - len(known)
         true_nm = np.array([row.load_nm for row in rows if row.drive == node])
-        # Load is judged in shallow losses too: only edges and the start are left out.
+        # Load errors count in shallow losses too: only edges and the start are left out.
         settled = truth._replace(depth=np.ones_like(truth.depth))
         counted = settled.counted(estimates.t_s)
         error = (estimates.load_nm - true_nm[np.maximum(truth.at(estimates.t_s), 0)])[counted]
@@ -173,7 +174,7 @@ def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) ->
 class Curve(NamedTuple):
     """Receiver operating characteristic: alarm at a probability of `threshold` or more.
 
-    threshold, true_rate, false_rate (LEVELS + 1,): from nobody accused (threshold above 1) to all.
+    threshold, true_rate, false_rate (LEVELS + 1,): from no alarm (threshold above 1) to all alarms.
     """
 
     threshold: Array
@@ -187,7 +188,7 @@ class Curve(NamedTuple):
 
 
 def roc(levels: Ints) -> Curve:
-    """The curve of known probabilities, `Measured.levels`; NaN where a class is empty."""
+    """Curve of the known probabilities, `Measured.levels`; NaN where a class is empty."""
     falling = np.concatenate([np.zeros((2, 1)), np.cumsum(levels[:, ::-1], axis=1)], axis=1)
     with np.errstate(invalid="ignore"):
         rates = falling / levels.sum(axis=1, keepdims=True)
@@ -196,7 +197,7 @@ def roc(levels: Ints) -> Curve:
 
 
 class Reliability(NamedTuple):
-    """Said against true, per bin of the probability (BINS,); NaN in empty bins."""
+    """Predicted and true share of losses, per bin of the probability (BINS,); NaN in empty bins."""
 
     predicted: Array
     true: Array
@@ -204,7 +205,7 @@ class Reliability(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Expected calibration error: mean |said - true|, weighted by the bins' frames."""
+        """Expected calibration error: mean |predicted - true|, weighted by the bins' frames."""
         full = self.frames > 0
         if not full.any():
             return math.nan
@@ -253,11 +254,11 @@ COLUMNS: Final = (
     "adhering %", "unknown %", "false %", "dangerous %", "load rmse Nm", "load rmse %",
     "ROC area", "ECE", "common F1", "common delay ms", "common false / h",
 )  # fmt: skip
-"""The numbers of the table; `row` gives them."""
+"""Columns of the table, as `row` returns them."""
 
 
 def row(line: Line) -> tuple[str | int | float, ...]:
-    """Numbers of one line, NaN where a question makes no sense (F1 without a loss)."""
+    """Numbers of one line; NaN where a number is not defined (F1 without a loss)."""
     total = line.total
     flags, common = total.flags, total.common
     lossy = flags.losses > 0

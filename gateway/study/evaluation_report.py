@@ -56,7 +56,7 @@ def table(lines: Iterable[Line]) -> str:
 
 
 def write(folder: Path, title: str, lines: Sequence[Line]) -> list[Path]:
-    """All files into `folder`, made if need be; returns their paths."""
+    """Write all files into `folder`, which is made if necessary; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     text = folder / "evaluation.md"
     write_text(text, f"# {title}\n\n{table(lines)}\n\n{LEGEND}\n")
@@ -85,7 +85,7 @@ def _numbers(lines: Sequence[Line]) -> Iterable[Sequence[object]]:
 
 
 def _text(value: str | float) -> str:
-    """A number that reads back as it was; nothing where there is none."""
+    """A value as text; nine digits for a float, empty if it is not finite."""
     if isinstance(value, float):
         return f"{value:.9g}" if math.isfinite(value) else ""
     return str(value)
@@ -148,7 +148,7 @@ def _picture(
 
 def _draw_roc(axis: Any, line: Line, style: Any) -> None:
     curve = roc(line.total.levels)
-    # Steps: between two thresholds nothing can be had.
+    # Steps, because there is no threshold between two levels.
     axis.plot(curve.false_rate, curve.true_rate, drawstyle="steps-post", **style)
     axis.set_xscale("symlog", linthresh=1e-4)
     axis.set_xlim(0.0, 1.0)

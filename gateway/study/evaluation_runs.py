@@ -1,7 +1,7 @@
-"""Evaluating detectors: random runs by seed through the simulator and the core, open loop.
+"""Evaluation of detectors: random runs by seed through the simulator and the core, open loop.
 
-The drives do not hear the gateway, as in a recorded log: every detector then sees the same
-frames, and a run is simulated once for all of them. Virtual clock; the same on every run.
+The drives do not receive the gateway's frames, as in a recorded log: every detector gets the same
+frames, and a run is simulated once for all. The clock is virtual, so results are reproducible.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from sim.simulation import Simulation
 
 
 class Plan(NamedTuple):
-    """What to evaluate: `config` is a file to start from, its drives are the scenario's."""
+    """Scope of an evaluation. config: basic configuration; the scenario replaces its drives."""
 
     families: tuple[str, ...]
     detectors: tuple[str, ...]
@@ -44,15 +44,15 @@ class Plan(NamedTuple):
 
 
 OWN = "varied"
-"""Name of a motor that the run brings."""
+"""Name of a motor that belongs to the run."""
 TICKS_PER_S = 100
 """Runs take whole steps of 10 ms."""
 
 
 class Recording(NamedTuple):
-    """A simulated run: what the drives sent, a block per tick, and what was true.
+    """A simulated run: the drives' frames, a block per tick, and the truth.
 
-    variation: the motor and bus, where they are neither the plan's.
+    variation: motor and bus of the run, where they are not those of the plan.
     """
 
     scenario: Scenario
@@ -66,8 +66,8 @@ def seeds_of(
 ) -> tuple[int, ...]:
     """Seeds by name (`development`, `reporting`) or as `A-B` or `A`.
 
-    Raises ConfigError for anything else, and for numbers that are kept for reporting: those
-    have to be asked for by name.
+    Raises ConfigError for anything else, and for numbers that are kept for reporting, which
+    must be asked for by name.
     """
     if text in ("development", "reporting"):
         return tuple(development if text == "development" else reporting)
@@ -113,7 +113,7 @@ def _codec(path: Path, nodes: tuple[int, ...]) -> Codec:
 def fitted(
     plan: Plan, detector: str, scenario: Scenario, varied: Variation | None = None
 ) -> tuple[Config, Codec]:
-    """Configuration and codec for the scenario's drives, their motors as the data sheet says."""
+    """Configuration and codec for the scenario's drives, with the motors of the data sheet."""
     motor = OWN if varied else scenario.motor.name
     drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
     config = _base(plan.config, plan.dbc, detector).model_copy(update={"drive": drives})
@@ -137,7 +137,7 @@ def record(scenario: Scenario, config: Config, codec: Codec) -> Recording:
 
 
 def recorded(plan: Plan, family: str, seed: int) -> Recording:
-    """What the drives of one of the plan's runs send."""
+    """Simulate one of the plan's runs: the frames that its drives send, and the truth."""
     scenario = _drawn(plan, family, seed)
     about = WORLDS[plan.world].families[family]
     varied = variation(seed) if about.varied else None
@@ -161,7 +161,7 @@ def _recording(simulation: Simulation, family: Family, config: Config) -> Record
 
 
 def judge(recording: Recording, config: Config, codec: Codec) -> Measured:
-    """One detector over a recording."""
+    """Run the configured detector over a recording and measure it."""
     gateway = Gateway(config, codec, 0)
     sent: list[Frame] = []
     for tick, block in enumerate(recording.blocks):
@@ -170,7 +170,7 @@ def judge(recording: Recording, config: Config, codec: Codec) -> Measured:
 
 
 def one_run(plan: Plan, family: str, seed: int) -> tuple[Measured, ...]:
-    """One scenario, simulated once, with every detector of the plan."""
+    """Simulate one scenario once, and judge every detector of the plan on it."""
     recording = recorded(plan, family, seed)
     about = recording.scenario, recording.variation
     fits = [fitted(plan, name, *about) for name in plan.detectors]
@@ -187,7 +187,7 @@ def evaluate(
     after_run: Callable[[], None] = lambda: None,
     after_family: Callable[[str, float], None] = lambda _family, _seconds: None,
 ) -> list[Line]:
-    """All of a plan, in its order, whatever the number of processes.
+    """Evaluate a whole plan; lines are in its order, whatever the number of processes.
 
     `after_run` is called after every scenario, `after_family` with its name and the time taken.
     Raises ConfigError or DbcMismatch before anything is simulated.
@@ -213,7 +213,7 @@ Run = Callable[[Sequence[tuple[Plan, str, int]]], Iterator[tuple[Measured, ...]]
 
 @contextmanager
 def _workers(jobs: int) -> Iterator[Run]:
-    """Run tasks here, or in this many processes; results come in the order of the tasks."""
+    """Run tasks in this process or in `jobs` processes; results keep the order of the tasks."""
     if jobs <= 1:
         yield lambda tasks: map(_task, tasks)
         return

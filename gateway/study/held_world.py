@@ -1,15 +1,15 @@
 """A train whose speed is held whatever load it carries: a second world to judge detectors in.
 
-Written apart from `sim/physics/plant.py`, with no mechanics at all. The rotor
-turns at a given speed, as behind an ideally stiff control; the motor's torque is at every instant
-what the wheel carries; flux, current and voltage follow in closed form:
+It is independent of `sim/physics/plant.py` and has no mechanics. The rotor turns at a given speed,
+as under an ideally stiff control. At every instant the motor's torque equals the load that the
+wheel carries; flux, current and voltage follow in closed form:
 
     i_q = T / (k_p p psi),  i_d = 0;    psi_s = (L i + psi) e^(j theta)
     mean u over a period = R mean i + (psi_s at its end - psi_s at its begin) / dt
 
-Losses have edges of 1 to 8 ms. Sensors, messages and truth are the simulator's. Kinds, by name:
-what is lost, of how many drives, with or without `Status` (and so with or without a torque command)
-on the bus, and what is healthy before. Nothing is tuned on it.
+Losses have edges of 1 to 8 ms. Sensors, messages and truth are the simulator's. The kinds differ
+in how many drives lose adhesion, of how many, with or without `Status` (and so a torque command)
+on the bus, and in the healthy time before. Nothing is tuned on this world.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ STATUS: Final = range(0x1C1, 0x1D1)
 
 
 def periods(scenario: Scenario) -> int:
-    """Periods of 125 us that a run takes, in whole steps of 10 ms."""
+    """Number of periods of 125 us in a run, in whole steps of 10 ms."""
     return round(scenario.duration_s * TICKS_PER_S) * GRID
 
 
 class Played(Plant):
-    """A plant under preset load that only plays back what was computed elsewhere."""
+    """A plant under preset load that only plays back rows computed elsewhere."""
 
     def __init__(self, scenario: Scenario, rows: Array) -> None:
-        """`rows` (n, N, 10): columns `plant.OUT` at the end of each period of 125 us."""
+        """Keep `rows` (n, N, 10): columns `plant.OUT` at the end of each period of 125 us."""
         motor = scenario.motor.machine
         still = np.zeros(rows.shape[1])
         super().__init__(motor, still, on_rail=False, w_0=0.0, load_0=0.0)
@@ -66,7 +66,7 @@ class Played(Plant):
 
 
 class OtherMachine(Simulation):
-    """The simulated train with waveforms in place of its machines."""
+    """The simulated train with given waveforms in place of its machines."""
 
     def __init__(self, scenario: Scenario, codec: Codec, rows: Array) -> None:
         """`rows` as in `Played`, for at least `periods(scenario)`."""
@@ -75,7 +75,7 @@ class OtherMachine(Simulation):
 
 
 class Kind(NamedTuple):
-    """One kind of runs. lost: how many of `drives`, None for all; commands: `Status` is sent."""
+    """One kind of run. lost: how many of `drives` lose, None for all; commands: with `Status`."""
 
     title: str
     drives: int
@@ -166,7 +166,7 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
 
 
 def waveforms(scenario: Scenario) -> Array:
-    """(n, N, 10) rows of a whole run, columns `sim.physics.plant.OUT`."""
+    """Rows (n, N, 10) of a whole run, columns `sim.physics.plant.OUT`."""
     motor = scenario.motor.machine
     variety = Variety(scenario, motor)
     t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
@@ -178,9 +178,9 @@ def waveforms(scenario: Scenario) -> Array:
 def electrical(
     scenario: Scenario, variety: Variety, speed: Array, torque: Array, load: Array, demand: Array
 ) -> Array:
-    """(n, N, 10) rows: what machines at these speeds, rad/s, and torques, Nm, (n + 1, N) show.
+    """Rows (n, N, 10) of machines with these speeds, rad/s, and torques, Nm, (n + 1, N).
 
-    load (n + 1, N): what their wheels carry, Nm; demand (n + 1,): what each is asked for, Nm.
+    load (n + 1, N): carried by their wheels, Nm; demand (n + 1,): torque asked of each, Nm.
     """
     motor, p = scenario.motor.machine, variety.p
     turned = DT * np.cumsum(0.5 * (speed[1:] + speed[:-1]), axis=0)
@@ -205,5 +205,5 @@ def electrical(
 
 
 def without_status(block: Block) -> Block:
-    """The block of a bus on which no drive says what it is asked for."""
+    """The block without `Status`, as if no drive sent its torque command."""
     return block.pick(~np.isin(block.can_id, list(STATUS)))

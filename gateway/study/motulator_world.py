@@ -1,13 +1,13 @@
-"""Drives of `motulator` (PyPI): a world of another author's machines to judge detectors in.
+"""Drives of `motulator` (PyPI): a world with another author's machines to judge detectors in.
 
-Of motulator are the machine (flux equations in rotor coordinates), the mechanics, the inverter, the
-modulator with its delay, and the control: speed, current reference and current vector control with
-its own gains, at its own current bandwidth. Of ours are the scenario (load and speed wanted, held
-over 125 us), sensors, messages and bus; its kinds are those of `held_world`.
+motulator provides the machine (flux equations in rotor coordinates), mechanics, inverter, modulator
+with its delay, and the control: speed, current reference and current vector control with its own
+gains, at its own current bandwidth. Ours are the scenario (load and wanted speed, held over
+125 us), sensors, messages and bus; the kinds are those of `held_world`.
 
-Two things are given to it: it rolls at the start (controllers preloaded, as in our simulator, else
-a run begins with a shock), and the speed bandwidth. 60 rad/s gives motulator's controller the
-gains of ours: 2 alpha J = 120 J, alpha^2 J = 3600 J; its own default is 25 rad/s (4 Hz).
+We set two things: the drives roll at the start (with preloaded controllers, as in our simulator;
+otherwise a run begins with a shock), and the speed bandwidth. 60 rad/s gives motulator's controller
+our gains, 2 alpha J = 120 J and alpha^2 J = 3600 J; its own default is 25 rad/s (4 Hz).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from sim.simulation import ANGLE_STREAM
 
 Array = NDArray[np.float64]
 OVERLOAD: Final = 1.5
-"""Most torque and current, of the rated, as in our simulator."""
+"""Largest torque and current, over the rated ones, as in our simulator."""
 SPEED_BANDWIDTH: Final = 60.0
-"""rad/s."""
+"""Bandwidth of the speed control, rad/s."""
 
 
 def simulate(_kind: str, scenario: Scenario, codec: Codec) -> OtherMachine:
@@ -50,7 +50,7 @@ class Drive:
     def __init__(
         self, motor: Motor, p: np.record, w_0: float, theta_0: float, load_0: float
     ) -> None:
-        """Rolling at `w_0` rad/s (rotor), electrical angle `theta_0` rad, `load_0` Nm met.
+        """Start rolling at `w_0` rad/s (rotor), electrical angle `theta_0` rad, load `load_0` Nm.
 
         `p`, a `struct sim_motor`: the machine's own parameters; its control has those of `motor`.
         """
@@ -96,7 +96,7 @@ class Drive:
         self._model.delay.data = [control.pwm.duty_ratios(first, motor.U_dc)]
 
     def advance(self, w_ref: float, load_nm: float, out: Array) -> None:
-        """One period of 125 us; `out` (10,) gets its row, voltages their mean."""
+        """Advance one period of 125 us; `out` (10,) gets its row, with the mean voltages."""
         model, control, converter = self._model, self._control, self._model.converter
         self._w_ref, self._load_nm = w_ref, load_nm
         measured = control.get_feedback_signals(model)
@@ -122,7 +122,7 @@ class Drive:
 
 
 def _runge_kutta(model: Any, lasts_s: float) -> None:
-    """One classical Runge-Kutta step over motulator's own right-hand side."""
+    """Make one classical Runge-Kutta step with motulator's own right-hand side."""
     t, h = model.t0, lasts_s
     y = np.array(model.get_initial_values(), dtype=np.complex128)
 
@@ -138,9 +138,9 @@ def _runge_kutta(model: Any, lasts_s: float) -> None:
 
 
 def waveforms(scenario: Scenario) -> Array:
-    """(n, N, 10) rows of a whole run, columns `plant.OUT`; start angles are our simulator's.
+    """Rows (n, N, 10) of a whole run, columns `plant.OUT`; start angles are our simulator's.
 
-    Raises ConfigError for what motulator's drive does not know here: rails, curves, open phases.
+    Raises ConfigError for rails, curves and open phases, which this drive cannot simulate.
     """
     other = any(event.kind == "phase_open" for event in scenario.event)
     if scenario.load.kind != "preset" or scenario.load.curve or other:

@@ -1,7 +1,7 @@
 """A simulated sensor network: links between neighbours, and two ways to compute sums over it.
 
-Time goes in synchronous rounds: what is sent in one is there in the next. A node acts on its
-own store and on what came in; nobody looks at another node's store. `Traffic` counts.
+Time advances in synchronous rounds: a message sent in one round arrives in the next. A node uses
+only its own store and its received messages, never another node's store. `Traffic` counts.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ import numpy as np
 from estimators.detect.paper import Array
 
 Graph = tuple[tuple[int, ...], ...]
-"""Neighbours of each node, in rising order."""
+"""Neighbours of each node, in ascending order."""
 
 TOLERANCE: Final = 1e-12
 """Consensus ends when all nodes agree to this, relative to 1 + |value|."""
 
 WINDOWS: Final = 10_000
-"""Consensus gives up after this many windows of N rounds; `Consensus.agreed` says so."""
+"""Consensus gives up after this many windows of N - 1 rounds; `Consensus.agreed` is then False."""
 
 HELLO: Final = 0.0
 JOIN: Final = 1.0
 
 
 class Traffic(NamedTuple):
-    """What went over the edges: messages, bytes of payload, synchronous rounds."""
+    """Traffic over the edges: messages, bytes of payload, synchronous rounds."""
 
     messages: int
     bytes: int
@@ -35,7 +35,7 @@ class Traffic(NamedTuple):
 
 
 def graph(nodes: int, edges: Iterable[tuple[int, int]]) -> Graph:
-    """Graph of `nodes` nodes. Raises ValueError for loops, unknown nodes and several parts."""
+    """Graph of `nodes` nodes. Raises ValueError for loops, unknown or unconnected nodes."""
     near: list[set[int]] = [set() for _ in range(nodes)]
     for i, j in edges:
         if i == j or not (0 <= i < nodes and 0 <= j < nodes):
@@ -52,17 +52,17 @@ def graph(nodes: int, edges: Iterable[tuple[int, int]]) -> Graph:
 
 
 def ring(nodes: int) -> Graph:
-    """Each drive talks to the next, the last to the first."""
+    """Ring graph: each node is connected to the next, the last to the first."""
     return graph(nodes, [(i, (i + 1) % nodes) for i in range(nodes) if nodes > 1])
 
 
 def tree(nodes: int, children: int = 2) -> Graph:
-    """Node i's parent is (i - 1) // children; with 1 a line, with nodes - 1 a star."""
+    """Tree graph: node i's parent is (i - 1) // children; 1 gives a line, nodes - 1 a star."""
     return graph(nodes, [(i, (i - 1) // children) for i in range(1, nodes)])
 
 
 class Wires:
-    """The edges: carries arrays between neighbours, a round at a time, and counts."""
+    """The edges, which carry arrays between neighbours, a round at a time, and count them."""
 
     def __init__(self, near: Graph) -> None:
         self.near = near
@@ -70,14 +70,14 @@ class Wires:
         self.sent: list[tuple[int, int, Array]] = []
 
     def send(self, source: int, target: int, payload: Array) -> None:
-        """Put one message on its way; it is there after `deliver`."""
+        """Send one message; `deliver` hands it over."""
         assert target in self.near[source]
         self.sent.append((source, target, payload))
         self.messages += 1
         self.bytes += 8 * payload.size
 
     def deliver(self) -> list[dict[int, Array]]:
-        """End the round: what came in at each node, by sender."""
+        """End the round; return the messages that each node received, by sender."""
         inbox: list[dict[int, Array]] = [{} for _ in self.near]
         for source, target, payload in self.sent:
             inbox[target][source] = payload
@@ -86,12 +86,12 @@ class Wires:
         return inbox
 
     def traffic(self) -> Traffic:
-        """What has gone over the wires so far."""
+        """Traffic so far."""
         return Traffic(self.messages, self.bytes, self.rounds)
 
 
 class Tree:
-    """Spanning tree found by a flood; node i acts on parent[i] and children[i] only.
+    """Spanning tree found by a flood; node i uses only parent[i] and children[i].
 
     The flood costs at most two messages per edge, and one per node that joins.
     """
@@ -128,7 +128,7 @@ class Tree:
         return self._join(values, np.maximum)
 
     def _join(self, values: list[Array], join: Callable[[Array, Array], Array]) -> list[Array]:
-        """Up: a node speaks once all its children have. Down: the root's result, unchanged."""
+        """Up: a node sends once all its children have sent. Down: the root's result, unchanged."""
         store = list(values)
         missing = [set(c) for c in self.children]
         spoken = [False] * len(values)
@@ -155,7 +155,7 @@ class Tree:
 
 
 class Consensus:
-    """Averaging with all neighbours; Metropolis weights from the neighbours' degrees."""
+    """Averaging with all neighbours, with Metropolis weights from the nodes' degrees."""
 
     def __init__(self, wires: Wires) -> None:
         self.wires = wires
@@ -167,7 +167,7 @@ class Consensus:
         ]
 
     def _exchange(self, values: list[Array]) -> list[dict[int, Array]]:
-        """Each node tells all neighbours: one round."""
+        """Each node sends its value to all neighbours: one round."""
         for i, near in enumerate(self.wires.near):
             for j in near:
                 self.wires.send(i, j, values[i])
@@ -183,10 +183,10 @@ class Consensus:
         return values
 
     def total(self, values: list[Array]) -> list[Array]:
-        """N times the average, at each node to `TOLERANCE`.
+        """N times the average, equal at all nodes to `TOLERANCE`.
 
-        In windows of N - 1 rounds: the averaging goes on while maximum and minimum of the
-        window's start are flooded with it, so at its end all nodes know how far apart they were.
+        In windows of N - 1 rounds: the averaging goes on while maximum and minimum at the start
+        of the window are flooded, so that at its end all nodes know how far apart they were.
         """
         n, size = len(values), len(values[0])
         if n == 1:
@@ -201,7 +201,7 @@ class Consensus:
                     )
                 ]
             values = [p[:size] for p in packed]
-            # The flooded ends are the same at all nodes by now, and so is the decision.
+            # The flooded extremes are now equal at all nodes, and so is the decision.
             high, low = packed[0][size : 2 * size], -packed[0][2 * size :]
             if not (high - low > TOLERANCE * (1.0 + np.maximum(np.abs(high), np.abs(low)))).any():
                 return [n * v for v in values]

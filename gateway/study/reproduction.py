@@ -1,7 +1,7 @@
 """Table 1 of paper `adhesion`: its printed values, ours beside them, and why they differ.
 
 Statistics of M_z - M_z^(G), the load estimate of each drive less a method's global estimate.
-Numbers in, rows out: who simulated and filtered is not known here.
+Numbers in, rows out. May not know: which simulator and filter made the numbers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gateway.io.whole_file import whole
 Array = NDArray[np.float64]
 
 METHODS: Final = {"paper_vb": "VB", "vmp": "VMP", "kmeans": "k-means", "median": "median"}
-"""Our names of the methods, and the paper's; in its order."""
+"""Our names of the methods, and the paper's names, in the paper's order."""
 STATISTICS: Final = ("Min", "q1", "median", "q3", "Max", "mean", "s", "IQR")
 MIN, MAX = STATISTICS.index("Min"), STATISTICS.index("Max")
 QUARTILES: Final = ("q1", "median", "q3", "IQR")
@@ -28,7 +28,7 @@ QUARTILE_TOLERANCE_NM: Final = 0.02
 TOLERANCE_NM: Final = 0.1
 RELATIVE_TOLERANCE: Final = 0.05
 STRICT_NM: Final = 0.01
-"""The last place that the paper prints."""
+"""One unit of the last place that the paper prints."""
 STRENGTHS: Final = (1.0, 0.5, 0.1, 0.01)
 PRINTED: Final[dict[str, tuple[tuple[float, ...], ...]]] = {
     "paper_vb": (
@@ -65,8 +65,8 @@ class Table(NamedTuple):
 class Cell(NamedTuple):
     """One number of Table 1.
 
-    `zero_start`: ours with the filter started at zero instead of at the true state; `at`: sample
-    of ours (Min and Max only, counted from 1); `reason`: why it does not agree, else "".
+    `zero_start`: our number with the filter started at zero instead of at the true state; `at`: our
+    sample (Min and Max only, counted from 1); `reason`: why the numbers do not agree, else "".
     """
 
     method: str
@@ -91,9 +91,10 @@ class Cell(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """How many cells agree, of how many.
+    """Number of cells that agree, and number of cells.
 
-    strict: all of them, held to STRICT_NM or RELATIVE_TOLERANCE; 0.1 Nm passes 0.02 for 0.09.
+    strict: of all cells, within STRICT_NM or RELATIVE_TOLERANCE, because with a tolerance of 0.1 Nm
+    0.02 agrees with 0.09.
     """
 
     quartiles: tuple[int, int]
@@ -101,7 +102,7 @@ class Agreement(NamedTuple):
     strict: tuple[int, int]
 
     def text(self) -> str:
-        """In one sentence."""
+        """The agreement in one sentence."""
         percent = f"{100 * RELATIVE_TOLERANCE:.0f} %"
         return (
             f"{self.quartiles[0]} of {self.quartiles[1]} quartiles agree with the paper within "
@@ -112,7 +113,7 @@ class Agreement(NamedTuple):
 
 
 def agreement(cells: Sequence[Cell]) -> Agreement:
-    """Of all cells."""
+    """Agreement of all cells."""
     parts: tuple[list[bool], list[bool]] = ([], [])
     for c in cells:
         parts[c.statistic not in QUARTILES].append(c.agrees)
@@ -124,9 +125,9 @@ def agreement(cells: Sequence[Cell]) -> Agreement:
 
 
 def statistics(difference: Array) -> Array:
-    """(8,) of differences (T,): STATISTICS. Quartiles interpolated, s with T - 1.
+    """STATISTICS (8,) of differences (T,). Quartiles are interpolated, s divides by T - 1.
 
-    Raises ValueError for fewer than two.
+    Raises ValueError for fewer than two differences.
     """
     if len(difference) < 2:
         raise ValueError("statistics need at least two samples")
@@ -141,7 +142,7 @@ def differences(load: Array) -> dict[str, Array]:
 
 
 def table(load: Array) -> Table:
-    """Table 1 of load estimates (T, N), Nm."""
+    """Table 1 from load estimates (T, N), Nm."""
     by_method = differences(load).values()
     value = [[statistics(column) for column in d.T] for d in by_method]
     at = [[(np.argmin(column), np.argmax(column)) for column in d.T] for d in by_method]
@@ -149,7 +150,7 @@ def table(load: Array) -> Table:
 
 
 def prior_strengths(load: Array) -> list[tuple[float, Array]]:
-    """What VB's prior strength of the means (beta in (39)) does: STATISTICS of the second drive."""
+    """Effect of VB's prior strength of the means (beta in (39)): STATISTICS of the second drive."""
     x, preset = paper.observations(load, None, paper.Observe.TORQUE)
     rows = []
     for beta in STRENGTHS:
@@ -159,7 +160,7 @@ def prior_strengths(load: Array) -> list[tuple[float, Array]]:
 
 
 def tolerance(statistic: str, printed: float) -> float:
-    """What a number may differ by and still count as reproduced, Nm.
+    """Largest difference with which a number still counts as reproduced, Nm.
 
     Quartiles 0.02 (two units of the last printed place); the others 0.1 or 5 %, the larger.
     """
@@ -169,15 +170,15 @@ def tolerance(statistic: str, printed: float) -> float:
 
 
 def within(ours: float, printed: float, limit: float) -> bool:
-    """Compared as printed, to two places; a hundredth part of those forgives rounding."""
+    """Whether two numbers agree at two places, as printed; 1e-4 more allows for rounding."""
     return abs(round(ours, 2) - printed) <= limit + 1e-4
 
 
 def compare(ours: Table, zero_start: Table, *, zero_locked: bool) -> list[Cell]:
     """All cells in the paper's order.
 
-    `zero_locked`: whether the filters started at zero found their rotors; else they explain
-    nothing.
+    `zero_locked`: whether the filters started at zero found their rotors; if not, their numbers
+    are no explanation.
     """
     cells = []
     for m, method in enumerate(METHODS):
@@ -235,7 +236,7 @@ SPREAD: Final = (
 
 
 def _reason(method: str, drive: int, statistic: str, zero_agrees: bool) -> str:
-    """Why this number is not the paper's; by what was tried, in order of what is surest."""
+    """Why this number is not the paper's, from what was tried; the most certain reason first."""
     if zero_agrees:
         return ZERO_START
     if statistic in QUARTILES:
@@ -250,7 +251,7 @@ def _reason(method: str, drive: int, statistic: str, zero_agrees: bool) -> str:
 
 
 def write_table(path: Path, cells: Sequence[Cell]) -> None:
-    """`table1.csv`: a row per cell. Raises OSError."""
+    """Write `table1.csv`: a row per cell. Raises OSError."""
     with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(

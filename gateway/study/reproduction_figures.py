@@ -26,13 +26,13 @@ TITLES: Final = {
     "median": "median filtering",
 }
 WIDE_NM: Final = 10.0
-"""A column of histograms that reaches further than this gets bins of 0.5 Nm, else of 0.1."""
+"""A column of histograms with a wider range than this gets bins of 0.5 Nm, others 0.1 Nm."""
 POINTS: Final = 1250
-"""Stretches a curve is drawn in: lowest and highest of each, so no peak is lost."""
+"""Number of stretches of a curve; the extremes of each are drawn, so that no peak is lost."""
 
 
 class Picture(NamedTuple):
-    """What the figures show: t_s (T,), true and estimated load (T, N) Nm, stretches to shade."""
+    """Data for the figures: t_s (T,), true and estimated load (T, N) Nm, stretches to shade."""
 
     t_s: Array
     true: Array
@@ -41,7 +41,7 @@ class Picture(NamedTuple):
 
 
 def thinned(t_s: Array, values: Array, points: int = POINTS) -> tuple[Array, Array]:
-    """A curve (T,) by the extremes of `points` stretches, in their order of time."""
+    """Reduce a curve (T,) to the extremes of `points` stretches, in order of time."""
     size = len(values) // points
     if size < 3:
         return t_s, values
@@ -58,7 +58,7 @@ def thinned(t_s: Array, values: Array, points: int = POINTS) -> tuple[Array, Arr
 
 
 def loads(stem: Path, picture: Picture, method: str) -> None:
-    """Figure 5-8 as `stem`.png and .svg: a row per drive, load on the left, difference right.
+    """Draw Figure 5-8 as `stem`.png and .svg: a row per drive, load left, difference right.
 
     Raises OSError.
     """
@@ -101,7 +101,7 @@ def loads(stem: Path, picture: Picture, method: str) -> None:
 
 
 def histograms(stem: Path, picture: Picture) -> None:
-    """Figure 9 as `stem`.png and .svg: a row per method, a column per drive. Raises OSError."""
+    """Draw Figure 9 as `stem`.png, .svg: a row per method, a column per drive. Raises OSError."""
     n = picture.true.shape[1]
     every = differences(picture.estimated)
     figure, axes = subplots(len(every), n, (4.1 * n, 9.4), sharey=True)
@@ -137,13 +137,13 @@ def subplots(rows: int, columns: int, size: tuple[float, float], **shared: Any) 
 
 
 def save(figure: Figure, stem: Path) -> None:
-    """PNG and SVG without date and random names: the same numbers give the same bytes."""
+    """Save PNG and SVG without date and random names: the same numbers give the same bytes."""
     import matplotlib as mpl
     from matplotlib import pyplot as plt
 
     with whole(stem.with_suffix(".png")) as part:
         figure.savefig(part, dpi=110, metadata={"Software": None})
-    figure.set_layout_engine("none")  # laid out once, and it is most of the time
+    figure.set_layout_engine("none")  # layout takes most of the time, so it is done only once
     with mpl.rc_context({"svg.hashsalt": "section 5"}), whole(stem.with_suffix(".svg")) as part:
         figure.savefig(part, metadata={"Date": None})
     plt.close(figure)

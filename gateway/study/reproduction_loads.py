@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Filter(NamedTuple):
-    """An EKF's belief: name, Q per 125 us (A^2, A^2, (rad/s)^2, rad^2, Nm^2), R in A^2."""
+    """Noise settings of an EKF: name, Q per 125 us (A^2, A^2, (rad/s)^2, rad^2, Nm^2), R in A^2."""
 
     name: str
     Q: tuple[float, ...]
@@ -35,10 +35,10 @@ PRODUCT: Final = Filter(
 
 
 class Record(NamedTuple):
-    """What N drives measured, K times, evenly spaced.
+    """K evenly spaced samples of N drives.
 
-    u (K, N, 2) mean voltage since the sample before, V; y (K, N, 2) currents, A, both alpha-beta;
-    n_sub: periods of 125 us per sample; step_a: resolution of a phase current, 0 where none.
+    u (K, N, 2) mean voltage since the previous sample, V; y (K, N, 2) currents, A, both alpha-beta;
+    n_sub: periods of 125 us per sample; step_a: resolution of a phase current, 0 if not rounded.
     """
 
     u: Array
@@ -48,16 +48,16 @@ class Record(NamedTuple):
 
 
 class Estimates(NamedTuple):
-    """load (K, N) Nm and speed (K, N) electrical rad/s after each sample."""
+    """Estimates after each sample: load (K, N) Nm, speed (K, N) electrical rad/s."""
 
     load: Array
     speed: Array
 
 
 def record(volts: Array, phases: Array, n_sub: int, step_a: float, step_v: float) -> Record:
-    """Record from mean voltages (K, N, 2) V and phase readings (K, N, 2 or 3) A.
+    """Record from mean voltages (K, N, 2) V and phase currents (K, N, 2 or 3) A.
 
-    Both are rounded to the steps where these are not 0. Two phases: as in `Samples`.
+    Both are rounded to their steps unless these are 0. Two phases: as in `Samples`.
     """
     volts, phases = rounded(volts, step_v), rounded(phases, step_a)
     if phases.shape[-1] == 2:
@@ -69,15 +69,15 @@ def record(volts: Array, phases: Array, n_sub: int, step_a: float, step_v: float
 
 
 def rounded(values: Array, step: float) -> Array:
-    """Values on the grid of the wire; as they are for a step of 0."""
+    """Round values to the resolution of the message; unchanged for a step of 0."""
     return values if step == 0.0 else np.asarray(np.rint(values / step) * step)
 
 
 def estimate(samples: Record, belief: Filter, x_0: Array, P_0: Array) -> Estimates:
-    """EKF (3)-(15) of the bench motor over a record, from x_0 (N, 5) and P_0 (N, 5, 5).
+    """Run the EKF (3)-(15) of the bench motor over a record, from x_0 (N, 5) and P_0 (N, 5, 5).
 
-    R takes step_a^2 / 12 of the wire, as the gateway's does. Raises FloatingPointError if a
-    filter diverges.
+    R includes step_a^2 / 12 for the rounding, as the gateway's does. Raises FloatingPointError if
+    a filter diverges.
     """
     count, n = samples.y.shape[:2]
     motor = pmsm.table(pmsm.repeat(pmsm.BENCH_MOTOR, n))

@@ -1,4 +1,4 @@
-"""The outlook of paper `adhesion`, section 6, on section 5's loads: VB without a central unit."""
+"""VB without a central unit (outlook of paper `adhesion`, section 6), on the loads of section 5."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from gateway.study.reproduction_text import grid
 
 Array = NDArray[np.float64]
 INSTANTS: Final = 4
-"""Spread over the record."""
+"""Number of instants, spread over the record."""
 NEIGHBOURS: Final = 5
-"""Fifteen nodes: the three drives at as many samples next to one another."""
+"""Number of adjacent samples: with three drives they make the loads of fifteen nodes."""
 
 
 class Row(NamedTuple):
-    """One network: mean over the instants, except `apart`, the largest difference anywhere.
+    """Results of one network: means over the instants, except `apart`, which is a maximum.
 
-    apart: from the central unit, of E[I] and of the component means in Nm; messages, rounds: per
-    instant, the agreement on the prior included.
+    apart: largest difference from the central unit, of E[I] or of the component means in Nm;
+    messages, rounds: per instant, with the agreement on the prior.
     """
 
     network: str
@@ -37,7 +37,7 @@ class Row(NamedTuple):
 
 
 def rows(load: Array) -> list[Row]:
-    """Rings and trees over loads (T, N) in Nm, five sweeps as in the paper."""
+    """Results of rings and trees on loads (T, N) in Nm, with five sweeps as in the paper."""
     first = np.linspace(0, len(load) - NEIGHBOURS, INSTANTS).astype(int)
     few = load[first]
     many = np.stack([load[first + k] for k in range(NEIGHBOURS)], axis=1).reshape(INSTANTS, -1)
@@ -67,7 +67,7 @@ def _row(name: str, near: Graph, exchange: Exchange, x: Array) -> Row:
 
 
 def section(found: Sequence[Row]) -> list[str]:
-    """The report's part on it."""
+    """Section of the report on these networks."""
     text = [
         [r.network, r.exchange, str(r.nodes), f"{r.apart:.0e}", f"{r.messages:.0f}",
          f"{r.rounds:.0f}"]

@@ -1,7 +1,7 @@
 """The cost of quantisation and of the bus: one experiment with several sources of the load.
 
-Every path is looked at at the same instants, as one who reads it live would: the last estimate
-that was there. A path without an estimate of every drive takes the instant out for all.
+Every path is sampled at the same instants, as by a live reader: each instant gets the last estimate
+so far. If a path lacks an estimate of any drive, the instant is left out for all paths.
 """
 
 from __future__ import annotations
@@ -22,13 +22,16 @@ from gateway.study.reproduction_loads import rmse
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 INSTANT_NS: Final = 1_125_000
-"""Nine periods of 125 us: against frames of eight and of sixteen, every phase is seen as often."""
+"""Nine periods of 125 us: every phase of frames of eight and of sixteen is met equally often."""
 SETTLED: Final = 10
-"""Ticks left out of a delay: a bus finds its rotors first."""
+"""Ticks left out of a delay, because the gateway on a bus has to find the rotors first."""
 
 
 class Way(NamedTuple):
-    """How samples came: name, and the way that differs by one thing only ("" for none)."""
+    """How samples are taken.
+
+    less: the way that differs in one thing only, "" for none; cost: that thing, as text.
+    """
 
     name: str
     less: str
@@ -49,7 +52,7 @@ WAYS: Final = (
 class Course(NamedTuple):
     """Load estimates of one way and filter.
 
-    t_ns (K,): when they were there; load (K, N): Nm, NaN where not known.
+    t_ns (K,): when they became available; load (K, N): Nm, NaN where not known.
     """
 
     way: str
@@ -68,10 +71,10 @@ class Seen(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """How old a bus's loads are at its own ticks.
+    """Age of a bus's loads at its own ticks.
 
-    age_ns: mean age of the sample without a bus that they are most like; rest_nm: root mean square
-    of what then differs.
+    age_ns: mean age of the samples without a bus that match them best; rest_nm: root mean square
+    of the remaining difference.
     """
 
     way: str
@@ -81,9 +84,9 @@ class Delay(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """All paths; first_ns the first common instant, instants how many.
+    """Comparison of all paths; first_ns: first common instant, instants: their number.
 
-    known_from_ns: when a path first knew the loads of all drives.
+    known_from_ns: when a path first had the loads of all drives, by way and filter.
     """
 
     first_ns: int
@@ -98,13 +101,13 @@ class Comparison(NamedTuple):
 
 
 def at(path: Course, instants: Times) -> Array:
-    """(K, N) the last estimate at or before each instant; NaN before the first."""
+    """Loads (K, N): the last estimate at or before each instant; NaN before the first one."""
     k = np.searchsorted(path.t_ns, instants, side="right") - 1
     return np.where(k[:, None] >= 0, path.load[np.maximum(k, 0)], np.nan)
 
 
 def compare(paths: Sequence[Course], truth: Course) -> Comparison:
-    """Every path at the instants at which all know the loads of all drives.
+    """Compare the paths at the instants at which all of them have the loads of all drives.
 
     Raises ValueError if there are too few such instants.
     """
@@ -132,7 +135,7 @@ def compare(paths: Sequence[Course], truth: Course) -> Comparison:
 
 
 def _delay(bus: Course, without: Course) -> Delay:
-    """Samples below 8 ms of age are tried; those of the start are left out."""
+    """Find the age with the smallest difference, below 8 ms; the start is left out."""
     known = np.flatnonzero(np.isfinite(bus.load).all(axis=1))[SETTLED:]
     tries = int(8_000_000 // (without.t_ns[1] - without.t_ns[0]))
     known = known[(bus.t_ns[known] >= without.t_ns[tries]) & (bus.t_ns[known] <= without.t_ns[-1])]
@@ -154,7 +157,7 @@ def _known_from(path: Course) -> int:
 
 
 def write_paths(path: Path, comparison: Comparison) -> None:
-    """`table1_paths.csv`: Table 1 of every path, a row per number. Raises OSError."""
+    """Write `table1_paths.csv`: Table 1 of every path, a row per number. Raises OSError."""
     with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(("path", "filter", "method", "drive", "statistic", "value_nm"))

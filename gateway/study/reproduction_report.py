@@ -31,7 +31,7 @@ PACKAGES: Final = ("traction-gateway", "numpy", "scipy", "matplotlib")
 
 
 class StandingStart(NamedTuple):
-    """A start from standstill: seed, per drive whether it locked, most it read too much, Nm."""
+    """A start from standstill: seed; per drive, whether it locked, and its largest excess, Nm."""
 
     seed: int
     locked: tuple[bool, ...]
@@ -39,7 +39,7 @@ class StandingStart(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """All that the report says."""
+    """All results in the report."""
 
     seed: int
     duration_s: float
@@ -54,7 +54,7 @@ class Outcome(NamedTuple):
 
 
 def write(folder: Path, outcome: Outcome) -> None:
-    """`report.md` and `report.html` beside the figures already there. Raises OSError."""
+    """Write `report.md` and `report.html` beside the figures already there. Raises OSError."""
     page.write(folder, "Section 5 of paper adhesion, reproduced", markdown(outcome), FIGURES)
 
 

@@ -1,4 +1,4 @@
-"""Table 1 of paper `adhesion` as text: for a terminal, and Markdown's tables."""
+"""Table 1 of paper `adhesion` as text for a terminal, and tables in Markdown."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from gateway.study.reproduction import METHODS, STATISTICS, Cell
 
 
 def grid(header: Sequence[str], rows: Iterable[Sequence[str]], rule: str = "---:") -> str:
-    """A Markdown table, numbers to the right (text with another `rule`)."""
+    """A Markdown table with numbers aligned to the right (for text, another `rule`)."""
     lines = ["| " + " | ".join(header) + " |", "|---" + f"|{rule}" * (len(header) - 1) + "|"]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
 def number(value: float, places: int = 2) -> str:
-    """As text, without a negative zero."""
+    """A number as text, without a negative zero."""
     return f"{round(value, places) + 0.0:.{places}f}"
 
 
@@ -30,7 +30,7 @@ def name_of(cell: Cell) -> str:
 
 
 def table_text(cells: Sequence[Cell]) -> str:
-    """Table 1 for a terminal: ours over the paper's, `*` where they do not agree."""
+    """Table 1 for a terminal: our row above the paper's, `*` where they do not agree."""
     lines = [f"{'Nm':<15}" + "".join(f"{s:>9} " for s in STATISTICS)]
     for row in rows_of(cells):
         ours = "".join(f"{number(c.ours):>9}{' ' if c.agrees else '*'}" for c in row)

@@ -1,4 +1,4 @@
-"""Variants that paper `adhesion` mentions beside Table 1: the bound, reuse, two quantities."""
+"""Variants that paper `adhesion` mentions beside Table 1: bound, reuse, two observed quantities."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PHI: Final = 0.5
 
 
 class Variant(NamedTuple):
-    """Of the paper's VB: value (3, 8), STATISTICS of each drive, Nm; sweeps: mean over ticks."""
+    """Variant of the paper's VB. value (3, 8): STATISTICS per drive, Nm; sweeps: mean of ticks."""
 
     name: str
     value: Array
@@ -23,7 +23,7 @@ class Variant(NamedTuple):
 
 
 def variants(load: Array, speed: Array) -> list[Variant]:
-    """VB as in Table 1, and what the paper mentions beside it.
+    """Results of VB as in Table 1, and of the variants that the paper mentions.
 
     load (T, N) Nm, speed (T, N) rad/s electrical. D = 2 observes both; `reuse` is section 5's
     flattened posterior (`paper_vb.flatten`, phi PHI); the bound (18) as the stopping rule ends the
@@ -50,7 +50,7 @@ def variants(load: Array, speed: Array) -> list[Variant]:
 
 
 def section(found: list[Variant]) -> list[str]:
-    """Of the report."""
+    """Section of the report."""
     rows = [
         [one.name, f"PMSM{drive}", *(number(v) for v in values), number(one.sweeps, 1)]
         for one in found

@@ -11,7 +11,7 @@ from gateway.study.reproduction_text import grid, number
 
 
 def wire(c: Comparison) -> list[str]:
-    """The section "Through the wire", a part per paragraph."""
+    """Section "Through the wire", one string per paragraph."""
     known = [c.known_from_ns[w, PAPER.name] for w in ("FD bus", "classic bus")]
     bus, direct = c.of("classic bus", PAPER.name), c.of("8 kHz", PAPER.name)
     methods = [f"{m}.PMSM{d}" for m in METHODS.values() for d in (1, 2, 3)]
@@ -80,7 +80,7 @@ def _way_rows(c: Comparison) -> list[list[str]]:
 
 
 def _cost_rows(c: Comparison) -> list[list[str]]:
-    """One row per filter and pair of ways that differ by one thing."""
+    """One row per filter and pair of ways that differ in one thing only."""
     inner = [k for k, name in enumerate(STATISTICS) if name not in ("Min", "Max")]
     rows = []
     for way in WAYS:

@@ -1,15 +1,15 @@
 """Wheels on rollers, two axles to a bogie: a third world to judge detectors in.
 
-Mechanics of their own, apart from `sim/physics`. The rollers are geared together, have the
-vehicle's mass, as the rotors see it, and are held at the profile's speed softly. Creep force
-rises to a peak and falls behind it, f(x) = sin(C atan(B x)) with x the creep; an effort relieves
-the bogie's first axle and loads its second. Torque follows the demand with a lag and, where the
-drive has a slip limiter, is cut beyond its creep; where it has none, the wheel runs up until the
-voltage is at its end. Currents and voltages follow in closed form, as in `held_world`.
+The mechanics are independent of `sim/physics`. The rollers are geared together, have the
+vehicle's mass, as seen from the rotors, and are held softly at the profile's speed. Creep force
+rises to a peak and falls beyond it, f(x) = sin(C atan(B x)) with x the creep; an effort relieves
+the bogie's first axle and loads its second. Torque follows the demand with a lag. A drive's slip
+limiter cuts it beyond the limiter's creep; without one, the wheel runs up until no voltage is
+left. Currents and voltages follow in closed form, as in `held_world`.
 
-A loss leaves the rail a share of the demand; it comes within 1 ms to 1 s, from 0.5 s on. A wheel
-is `lost` in the truth while the rail carries less than is asked, or, as deep as 0, while it still
-slides beyond the peak and 5 %. Nothing is tuned on it.
+In a loss the rail carries a share of the demand; it begins from 0.5 s on and grows over 1 ms to
+1 s. A wheel is `lost` in the truth while the rail carries less than the demand, or, with depth 0,
+while it still slides beyond both the peak and 5 % creep. Nothing is tuned on this world.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from sim.scenario import Scenario, parse
 Array = NDArray[np.float64]
 STREAM: Final = 37
 SHAPE: Final = 1.4
-"""C: far behind its peak the contact carries sin(C pi / 2) = 0.81 of it."""
+"""C: far beyond the peak the contact carries sin(C pi / 2) = 0.81 of the peak force."""
 PEAK_CREEP: Final = (0.02, 0.06)
 GRIP: Final = (1.3, 2.0)
-"""What a wheel carries at the peak of its creep, over rated torque."""
+"""Torque that a wheel carries at the peak of the creep curve, over rated torque."""
 ROLLER: Final = (30.0, 120.0)
-"""The rollers' inertia for each axle, over the rotor's."""
+"""Inertia of the rollers per axle, over the rotor's."""
 HELD_S: Final = 2.0
-"""Time constant at which the rollers are held."""
+"""Time constant with which the rollers are held at their speed."""
 TRANSFER: Final = 0.12
-"""Of the normal force of an axle, at rated torque of the bogie's both."""
+"""Share of an axle's normal force that moves, with rated torque on both axles of the bogie."""
 LAG_S: Final = 0.002
 RUN_UP: Final = (1.4, 1.6)
-"""Speed, over the rollers' and 5 rad/s, from which on torque falls and at which none is left."""
+"""Wheel speed over the rollers' plus 5 rad/s: where torque begins to fall, and where it is 0."""
 STOP: Final = 0.1
-"""Speed, over the rollers', below which a brake's torque falls to none: no wheel turns back."""
+"""The same ratio, below which a brake's torque falls to zero, so that no wheel turns backwards."""
 SLOWEST_RAD_S: Final = 1.0
-"""Creep is reckoned of at least this speed."""
+"""Smallest speed by which a creep is divided."""
 ONSET_S: Final = (0.5, 2.5)
 DEPTH: Final = (0.2, 1.0)
 RAMP_S: Final = (0.001, 1.0)
@@ -58,7 +58,7 @@ LEAST_BITRATE_DRIVES: Final = 4
 
 
 class Limiter(NamedTuple):
-    """A drive's own slip control: above `creep` torque is cut at `cut` 1/s, else comes back."""
+    """A drive's own slip control: cuts torque at `cut` 1/s above `creep`, else restores it."""
 
     creep: float
     cut: float
@@ -73,10 +73,10 @@ LIMITERS: Final = {
 
 
 class Kind(NamedTuple):
-    """One kind of runs.
+    """One kind of run.
 
-    drives: least and most; lost: their largest share, 0 for none; varied: any motor and bus, with
-    drives and speed of `varied_trains`.
+    drives: least and most; lost: largest share of them that loses adhesion; varied: any motor and
+    bus, with drives and speed of `varied_trains`.
     """
 
     title: str
@@ -145,10 +145,10 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
 
 
 class Waveforms(NamedTuple):
-    """Of a whole run, a row every `DT`.
+    """Waveforms of a whole run, a row every `DT`.
 
-    rows (n, N, 10): columns `sim.physics.plant.OUT`; slides (n, N): beyond the peak of its creep;
-    given (n, N): the share of its torque that the drive's own limiter lets through.
+    rows (n, N, 10): columns `sim.physics.plant.OUT`; slides (n, N): creep is beyond the peak and
+    5 %; given (n, N): share of its torque that the drive's own limiter lets through.
     """
 
     rows: Array
@@ -157,13 +157,13 @@ class Waveforms(NamedTuple):
 
 
 def waveforms(name: str, scenario: Scenario) -> Waveforms:
-    """What the machines of a run do, `DT` by `DT`."""
+    """Simulate the machines of a run in steps of `DT`."""
     motor = scenario.motor.machine
     variety = Variety(scenario, motor)
     t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
     w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
     carried = Schedule(scenario, motor).carry(t_s, demand)
-    # What a loss leaves, at the peak of creep; without one the rail's own.
+    # Load that a loss leaves at the peak of the creep curve; infinite without a loss.
     left = np.where(carried < 1.0, carried * np.abs(demand)[:, None], np.inf)
     rig = Rig(scenario, variety, LIMITERS[KINDS[name].limiter])
     speed, torque, load, given = np.empty((4, len(t_s), scenario.drives))
@@ -177,7 +177,7 @@ def waveforms(name: str, scenario: Scenario) -> Waveforms:
 
 
 class _Rolled(Played):
-    """Plays rows back, and says which wheels slide."""
+    """Plant that plays rows back and knows which wheels slide."""
 
     def __init__(self, scenario: Scenario, played: Waveforms) -> None:
         super().__init__(scenario, played.rows)
@@ -190,7 +190,7 @@ class _Rolled(Played):
         return bool(self._slides[self._at - 1, drive])
 
     def shortage(self, _drive: int, _condition: Rail, _load: float) -> float:
-        """Beyond the peak of its own rail a wheel carries all that is asked."""
+        """Missing share of the demand: 0, because the wheel's own rail carries all of it."""
         return 0.0
 
 
@@ -198,17 +198,17 @@ class Roller(OtherMachine):
     """The simulated train on rollers."""
 
     def __init__(self, name: str, scenario: Scenario, codec: Codec) -> None:
-        """The run `scenario` of this kind."""
+        """Simulate the run `scenario` of this kind."""
         played = waveforms(name, scenario)
         super().__init__(scenario, codec, played.rows)
         self._plant = _Rolled(scenario, played)
 
 
 class Rig:
-    """All wheels of a run and the rollers, a period of `DT` at a time."""
+    """All wheels of a run and the rollers, advanced by one period of `DT` at a time."""
 
     def __init__(self, scenario: Scenario, variety: Variety, limiter: Limiter) -> None:
-        """Everything random comes from the scenario's seed."""
+        """Draw all random numbers from the scenario's seed."""
         rng = np.random.default_rng([scenario.seed, STREAM])
         motor, n = scenario.motor.machine, scenario.drives
         self._limiter, self._j, self._rated = limiter, motor.J, motor.T_rated
@@ -229,7 +229,7 @@ class Rig:
         self.slides = np.zeros(n, np.bool_)
 
     def advance(self, w_ref: float, demand: float, left: Array) -> None:
-        """One period. w_ref rad/s; demand Nm of each drive; left (N,): what losses leave, Nm."""
+        """Advance one period. w_ref rad/s; demand Nm of each drive; left (N,) Nm: loss limit."""
         asked = demand * self._share
         if self._v is None:
             self._v, self.torque, self.load = w_ref, asked.copy(), asked.copy()
@@ -244,27 +244,27 @@ class Rig:
         self.load = peak * np.sin(angle)
         self.slides = np.abs(creep) > max(CREEP_LIMIT, self._peak_creep)
         self._follow(asked, creep * np.sign(demand), rolls / (v + 5.0 * np.sign(v)))
-        # Linearly implicit: the contact is faster than a period.
+        # Linearly implicit, because the contact is faster than a period.
         gained = DT * (self.torque - self.load)
         self.w = self.w + gained / (self._j + DT * np.maximum(slope, 0.0))
         pull = float((self.load - asked).mean()) / self._mass
         self._v = v + DT * (pull + (w_ref - v) / HELD_S)
 
     def _normal(self, v: float) -> Array:
-        """(N,) each axle's normal force, over that at rest."""
+        """Normal force (N,) of each axle, over that at rest."""
         effort = np.bincount(self._bogie, self.load)[self._bogie] / (self._axles * self._rated)
         out: Array = 1.0 + self._transfer * effort * np.sign(v)
         return out
 
     def _steady_creep(self) -> Array:
-        """(N,) at which each wheel carries its load, before its peak."""
+        """Creep (N,) below the peak at which each wheel carries its load."""
         assert self._v is not None
         used = self.load / (self._normal(self._v) * self._grip)
         out: Array = np.tan(np.arcsin(used) / SHAPE) / self._stiff
         return out
 
     def _follow(self, asked: Array, creep: Array, run_up: Array) -> None:
-        """The motors' torque. creep (N,): positive where a wheel slips as its effort goes."""
+        """Update the motors' torque. creep (N,): positive where a wheel slips with its effort."""
         limiter = self._limiter
         change = np.where(creep > limiter.creep, -limiter.cut, limiter.back)
         self.limit = np.clip(self.limit + DT * change, 0.0, 1.0)

@@ -1,7 +1,7 @@
-"""Families of random runs, each a pure function of the seed: what detectors are evaluated on.
+"""Families of random runs on which detectors are evaluated, each a pure function of the seed.
 
-Every family asks another question; ranges are the bench motor's and scale to others per unit.
-Two sets of seeds: thresholds may be tuned on `DEVELOPMENT`; nobody looks at `REPORTING` before
+Each family tests something different; ranges are the bench motor's and scale to others per unit.
+Two sets of seeds: thresholds may be tuned on `DEVELOPMENT`; `REPORTING` is not looked at before
 reporting.
 
 May know: scenarios. May not know: any detector.
@@ -34,7 +34,7 @@ from sim.scenario import Scenario, parse
 DEVELOPMENT: Final = range(30)
 """Seeds that anything may be tuned on."""
 REPORTING: Final = range(1000, 1060)
-"""Seeds that nobody looks at before reporting."""
+"""Seeds that are not looked at before reporting."""
 
 STREAM: Final = 21
 """Purpose of the random streams; the family's number follows."""
@@ -44,7 +44,7 @@ Table = dict[str, Any]
 Rng = np.random.Generator
 
 QUIET_VAR: Final = 2e-4
-"""A^2 on the bench motor: the clean sensor."""
+"""Noise of a clean sensor on the bench motor, A^2."""
 ROUGH_VAR: Final = 1e-2
 ROUGH_OFFSET_A: Final = 0.1
 ROUGH: Final[Table] = {"R_s_within": 0.2, "L_s_within": 0.05, "psi_pm_within": 0.03}
@@ -52,33 +52,33 @@ ROUGH_SHARE: Final = 0.1
 ROUGH_LOST: Final = 0.01
 ROUGH_ONSET_S: Final = (2.5, 3.5)
 BUS_DRIVES: Final = 4
-"""More do not fit onto 1 Mbit/s: then the bus has no bit rate, as a log or vcan."""
+"""Most drives that fit onto 1 Mbit/s; with more the bus has no bit rate, like a log or vcan."""
 HARD_S: Final = 20.0
 HARD_NM: Final = 28.0
-"""The driver's limit: dry rail carries 29 Nm at 60 m/s, 39 at 10."""
+"""The driver's limit of effort: dry rail carries 29 Nm at 60 m/s and 39 Nm at 10 m/s."""
 BRAKE_AT_S: Final = 0.3
 BRAKE: Final = 6.4
-"""Hardest change of speed, over what rated torque gives the train: an emergency brake of 1.4 m/s^2
-on the train of the 350 kW motor. The bench motor's ranges stay far below it."""
+"""Hardest change of speed, over the one at rated torque: an emergency brake of 1.4 m/s^2 for the
+train of the 350 kW motor. The bench motor's ranges stay far below it."""
 WET_NM: Final = 20.0
-"""What wet rail (friction 0.3) carries on the bench."""
+"""Load that wet rail (friction 0.3) carries on the bench."""
 
 
 class Family(NamedTuple):
-    """One kind of random runs. `common`: all drives lose adhesion together."""
+    """One kind of random run. `common`: all drives lose adhesion together."""
 
     title: str
     make: Callable[[int, Rng, PerUnit], Scenario]
     common: bool = False
     healthy: bool = False
     motor: str | None = None
-    """The motor it is about, whatever is asked for."""
+    """The family's own motor, used whatever motor is asked for."""
 
 
 def draw(family: str, seed: int, motor: str = "bench") -> Scenario:
     """The scenario of this family and seed. Raises KeyError for an unknown family or motor."""
     chosen = ALL[family]
-    # The families of a group share one stream: the same runs but for what the group is about.
+    # The families of a group share one stream: their runs differ only in the group's subject.
     groups = [name for name, group in GROUPS.items() if family in group]
     number = GROUP_STREAM if groups else list(FAMILIES).index(family)
     rng = np.random.default_rng([seed, STREAM, number])
@@ -97,7 +97,7 @@ def _loss(rng: Rng, drive: int, at_s: float, length: tuple[float, float] = LENGT
 
 
 def _run(what: str, seed: int, unit: PerUnit, table: Table) -> Scenario:
-    """A scenario with what all families share; ends `TAIL_S` after its last loss."""
+    """A scenario with the settings that all families share; ends `TAIL_S` after its last loss."""
     ends = [e["at_s"] + e["for_s"] for e in table.get("event", ()) if "for_s" in e]
     whole: Table = {
         "title": f"{what} {seed}",
@@ -125,7 +125,7 @@ def _single(seed: int, _rng: Rng, unit: PerUnit) -> Scenario:
 
 
 def _several(rng: Rng, among: int, count: int, onset: tuple[float, float]) -> list[Table]:
-    """`count` of `among` drives lose adhesion within 50 ms of one another, each its own way."""
+    """`count` of `among` drives lose adhesion within 50 ms, each with its own depth and length."""
     at = between(rng, onset)
     who = sorted(rng.choice(among, size=count, replace=False).tolist())
     return [_loss(rng, int(d) + 1, at + between(rng, (0.0, 0.05))) for d in who]
@@ -149,13 +149,13 @@ def _number(drives: int) -> Callable[[int, Rng, PerUnit], Scenario]:
 
 
 def _tenable(unit: PerUnit, bench_nm: float) -> float:
-    """Electrical rad/s^2 at which the train's mass takes the torque `bench_nm` scaled."""
+    """Acceleration, electrical rad/s^2, for which the train's mass takes `bench_nm`, scaled."""
     motor = MOTORS[unit.name]
     return motor.pole_pairs * unit.nm(bench_nm) / TRAINS.get(unit.name, TRAIN).inertia(motor)
 
 
 def _hardest(unit: PerUnit) -> float:
-    """Electrical rad/s^2 of the hardest brake."""
+    """Deceleration of the hardest brake, electrical rad/s^2."""
     return BRAKE * _tenable(unit, BENCH.T_rated)
 
 
@@ -203,7 +203,7 @@ def _crawl(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
 
 
 def _rough_table(rng: Rng, unit: PerUnit) -> Table:
-    """What a real train is like; the draws per drive are the scenario's own, from its seed."""
+    """Imperfections of a real train; the scenario draws them per drive, from its own seed."""
     table = _steady(rng, unit)
     table["load"] |= {"share_within": ROUGH_SHARE}
     table["mismatch"] = dict(ROUGH)
@@ -240,9 +240,9 @@ def _large(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
 
 
 def _all_together(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-    """Sudden, under all wheels; the train pulls or brakes, against a gradient or its own mass.
+    """A sudden loss under all wheels; the train pulls or brakes, against a gradient or its mass.
 
-    What the rail has left is at most three quarters of what was demanded at the onset.
+    The rail then carries at most three quarters of the demand at the onset.
     """
     low, high = unit.speed
     forward, pull = sign(rng), sign(rng)
@@ -254,7 +254,7 @@ def _all_together(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
         demand = between(rng, (27.0, 28.0))
     value = round(0.3 * share * demand / WET_NM, 4) if kind == "number" else str(kind)
     end = at + length + 1.5
-    # Not faster: dry rail must carry the demand again, and it carries less at speed.
+    # The speed is limited: dry rail must carry the demand again, and it carries less at speed.
     speed = between(rng, (low + 0.2 * (high - low), low + 0.6 * (high - low)), 3)
     inertial = between(rng, (0.0, 0.5 if rng.random() < 0.5 else 0.0))
     slope = pull * _tenable(unit, inertial * demand)
@@ -363,7 +363,7 @@ FAMILIES: Final[dict[str, Family]] = {
     ),
     "healthy_rough": Family("as rough, nothing lost", _healthy_rough, healthy=True),
 }
-"""By name; new ones go to the end, because a family's place is part of its random stream."""
+"""Families by name. A family's place is part of its random stream, so add new ones at the end."""
 GROUPS: Final[dict[str, dict[str, Family]]] = {
     "mismatch": {name: Family(off.title, _mismatched(off)) for name, off in MISMATCHES.items()},
     "slide": {
@@ -372,5 +372,5 @@ GROUPS: Final[dict[str, dict[str, Family]]] = {
         "slide_braked": Family("friction brakes lock one wheel, motors coast", _braked),
     },
 }
-"""Families that are asked for by their group's name."""
+"""Families that can be asked for by the name of their group."""
 ALL: Final[dict[str, Family]] = {**FAMILIES, **GROUPS["mismatch"], **GROUPS["slide"]}

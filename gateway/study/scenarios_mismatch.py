@@ -1,6 +1,6 @@
-"""One motor or its sensors off the data sheet, and a loss: mismatch against detection.
+"""Runs with one motor or its sensors off the data sheet, and a loss: effect of a mismatch.
 
-All of these draw the same runs from the same seeds: their rows differ by the mismatch alone.
+All families here draw the same runs from the same seeds: they differ in the mismatch alone.
 Drive 1 is off, any drive loses adhesion. `scenarios_family` has them as the group `mismatch`.
 
 May know: scenarios. May not know: any detector.
@@ -20,9 +20,9 @@ OPEN_AT_S: Final = 1.0
 
 
 class Mismatch(NamedTuple):
-    """What is off: a factor on a motor value of drive 1, or what `sensors` draws, or an open phase.
+    """One mismatch: factor on a motor value of drive 1, errors that `sensors` draws, or open phase.
 
-    offset: per unit of 25 A.
+    offset_a: for a motor of 25 A; it scales with the rated current.
     """
 
     title: str
@@ -48,7 +48,7 @@ MISMATCHES: Final[dict[str, Mismatch]] = {
 
 
 def tables(off: Mismatch, amps: float) -> tuple[Table, Table, list[Table]]:
-    """(mismatch, more of sensors, more events) of a scenario; amps: rated current over 25 A."""
+    """Tables of a scenario: mismatch, more of sensors, more events; amps: rated current / 25 A."""
     motor = {off.motor: [off.factor, 1.0, 1.0]} if off.motor else {}
     sensors = {
         "current_offset_within_a": off.offset_a * amps,

@@ -1,7 +1,7 @@
-"""Random single losses of adhesion, by seed: what the detection figures are measured on.
+"""Random single losses of adhesion, by seed, on which the detection figures are measured.
 
-Nothing here is tuned to any detector; scores on a paper's own scenario flatter whatever was
-tuned on it. `gateway.study.scenarios_family` has the other kinds of runs.
+Nothing here is tuned to any detector; a score on a paper's own scenario flatters every method
+that was tuned on it. `gateway.study.scenarios_family` has the other kinds of runs.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ LOAD_NM: Final = (8.0, 30.0)
 RAMP_S: Final = 0.02
 TAIL_S: Final = 0.8
 TOP_RAD_S: Final = {"traction_350kw": 880.0}
-"""Highest electrical speed where it is not that of the bench: 140 Hz."""
+"""Highest electrical speed of motors for which the bench motor's does not hold: 140 Hz."""
 
 
 class PerUnit:
-    """The bench motor's ranges for another motor: torque by T_rated, current by I_rated."""
+    """The bench motor's ranges, scaled to another motor: torque by T_rated, current by I_rated."""
 
     def __init__(self, motor: str, own: Motor | None = None) -> None:
-        """`motor`: a name of `sim.physics.plant.MOTORS`; own: a motor that has none."""
+        """Scale to `motor`, a name of `sim.physics.plant.MOTORS`, or to `own`, not listed there."""
         self.name = motor
         machine = own or MOTORS[motor]
         self._torque = machine.T_rated / BENCH.T_rated
@@ -39,25 +39,25 @@ class PerUnit:
         """Range of electrical speeds, rad/s."""
 
     def nm(self, bench: float) -> float:
-        """A torque of the bench motor's, to 1 mNm."""
+        """Scale a torque of the bench motor, Nm, rounded to 1 mNm."""
         return round(float(bench) * self._torque, 3)
 
     def amps(self, bench: float) -> float:
-        """A current."""
+        """Scale a current of the bench motor, A."""
         return bench * self._current
 
     def noise(self, bench_var: float) -> float:
-        """A variance of currents, A^2."""
+        """Scale a variance of currents of the bench motor, A^2."""
         return bench_var * self._current**2
 
 
 def between(rng: np.random.Generator, limits: tuple[float, float], digits: int = 4) -> float:
-    """A uniform draw, rounded."""
+    """Draw uniformly and round."""
     return round(float(rng.uniform(*limits)), digits)
 
 
 def sign(rng: np.random.Generator) -> float:
-    """-1 or 1."""
+    """Draw -1 or 1."""
     return float(rng.choice([-1.0, 1.0]))
 
 

@@ -1,7 +1,7 @@
-"""Wheels that run away or lock: what a drive's own slip limiter otherwise hides from a detector.
+"""Wheels that run away or lock, which a drive's own slip limiter otherwise hides from a detector.
 
-`scenarios_family` has them as the group `slide`. The 5 % creep of all other families is what a
-fast slip limiter leaves of a slide.
+`scenarios_family` has them as the group `slide`. In all other families a fast slip limiter holds
+a slide at 5 % creep.
 
 May know: scenarios. May not know: any detector.
 """
@@ -21,26 +21,27 @@ Rng = np.random.Generator
 SLIP_LENGTH_S: Final = (1.0, 3.0)
 PULL_NM: Final = (8.0, 20.0)
 BRAKE_NM: Final = (9.0, 18.0)
-"""Dry rail carries more than either, and the driver's limit, at every speed drawn."""
+"""At every speed drawn, dry rail carries more than these two, and than the driver's limit."""
 EFFORT_NM: Final = 24.0
 GRADIENT_NM: Final = 8.0
-"""What the train resists with before and after it brakes: a load that can be judged."""
+"""Load from a gradient before and after the train brakes: large enough to be judged."""
 RAIL_LEFT: Final = (0.2, 0.6)
-"""Of the brake's torque, what a poor rail carries within 5 % creep and low speed, at most."""
+"""Largest share of the brake's torque that a poor rail carries, up to 5 % creep at low speed."""
 FRICTION_PER_NM: Final = 0.3 / 20.0
-"""Friction that carries 1 Nm on the bench: wet rail is 0.3 and carries 20 Nm."""
+"""Friction coefficient that carries 1 Nm on the bench: wet rail has 0.3 and carries 20 Nm."""
 
 
 def _speed(rng: Rng, unit: PerUnit) -> float:
-    """Electrical rad/s, either way, with voltage left for a wheel that runs away."""
+    """Draw a speed of either sign, electrical rad/s, with voltage left for a runaway wheel."""
     low, high = unit.speed
     return between(rng, (low + 0.5 * (high - low), low + 0.7 * (high - low)), 3) * sign(rng)
 
 
 def slipping(rng: Rng, unit: PerUnit, limiter: str, loss: Table) -> Table:
-    """One wheel that its drive's slip limiter holds late or never; half of the losses grow slowly.
+    """One slipping wheel, which its drive's slip limiter holds late or never.
 
-    The train pulls or brakes. `loss`: an event of kind `adhesion_loss`.
+    Half of the losses grow slowly. The train pulls or brakes. `loss`: an event of kind
+    `adhesion_loss`.
     """
     if rng.random() < 0.5:
         loss["ramp_s"] = between(rng, (0.3 * loss["for_s"], 0.5 * loss["for_s"]))
@@ -54,9 +55,9 @@ def slipping(rng: Rng, unit: PerUnit, limiter: str, loss: Table) -> Table:
 
 
 def braked(rng: Rng, unit: PerUnit) -> Table:
-    """Friction brakes on all wheels, the motors coasting; one wheel comes onto a poor rail.
+    """Friction brakes act on all wheels while the motors coast; one wheel meets a poor rail.
 
-    The load that a motor can know is here not the rail's: the brake takes it up.
+    The motors cannot observe the rail's load here, because the brakes take it up.
     """
     brake = between(rng, BRAKE_NM)
     at, length = between(rng, (1.0, 2.0)), between(rng, (0.8, 1.5))

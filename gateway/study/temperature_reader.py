@@ -1,6 +1,7 @@
-"""Temperatures of a log, cycle by cycle, without the other stations of a tick.
+"""Read the temperatures of a log, cycle by cycle, without the other stations of a tick.
 
-A record of slow messages costs what its frames cost: no filter, no detector, no frame goes out.
+A log of slow messages takes only the time for its frames: no filter or detector runs, and no frame
+is sent.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from gateway.settings.config import Config
 Array = NDArray[np.float64]
 
 CYCLES: Final = 4096
-"""Temperature cycles that there is room for."""
+"""Number of temperature cycles for which there is room."""
 
 
 class Cycles(NamedTuple):
     """R temperature cycles of N motors, P points and Q quantities of a second (`thermal_quantity`).
 
-    value_c, mean_c: (R, N, P) degC, last readings and window averages; known: (R, N, P), of which
-    averages; held_ns: (R, N, P) since a reading changed; second: (R, N, Q) means of a second, where
-    `second_complete` (R,).
+    value_c, mean_c: (R, N, P) degC, last readings and window averages; known: (R, N, P), whether
+    the average is known; held_ns: (R, N, P) time since the reading changed; second: (R, N, Q)
+    means of a second, valid where `second_complete` (R,).
     """
 
     second_complete: NDArray[np.bool_]
@@ -44,10 +45,10 @@ class Cycles(NamedTuple):
 
 
 class CycleLog(Addressed):
-    """Notes cycles (`struct temperature_log`) until they are read."""
+    """Store of cycles (`struct temperature_log`) until they are read."""
 
     def __init__(self, motors: int, capacity: int = CYCLES) -> None:
-        """capacity: cycles that there is room for."""
+        """Make room for `capacity` cycles."""
         shape = (capacity, motors, len(POINTS))
         self._columns = Cycles(
             np.zeros(capacity, np.bool_), np.zeros(shape), np.zeros(shape),
@@ -59,44 +60,44 @@ class CycleLog(Addressed):
         self.link()
 
     def link(self) -> None:
-        """See `Addressed`."""
+        """Set the addresses of the columns, see `Addressed`."""
         for name, column in self._columns._asdict().items():
             self.record[name] = column.ctypes.data
         self.pointer: Any = ffi.from_buffer("struct temperature_log *", self.record)
 
     @property
     def full(self) -> bool:
-        """Whether there is room for no other cycle."""
+        """Whether there is no room for another cycle."""
         return bool(self.pointer.count == self.pointer.capacity)
 
     def note(self, side: TemperatureMonitor, now: Nanos) -> None:
-        """The monitor's last cycle, if it is not noted yet. There has to be room."""
+        """Store the monitor's last cycle, unless it is stored already. There must be room."""
         lib.note_temperature_cycle(self.pointer, side.pointer, now)
 
     def drain(self) -> Cycles:
-        """What was noted since the last call."""
+        """Return and remove the cycles stored since the last call."""
         count = int(self.pointer.count)
         self.pointer.count = 0
         return Cycles._make(column[:count].copy() for column in self._columns)
 
 
 class TemperatureReader(Gateway):
-    """A gateway whose ticks read temperatures, and what thermal models are learnt with."""
+    """Gateway whose ticks only read temperatures and the other quantities for thermal models."""
 
     def __init__(self, config: Config, codec: Codec, start_ns: Nanos) -> None:
-        """As `Gateway`. Every tick's cycle is in `log`, which is to be read when it is full."""
+        """As `Gateway`. `log` gets the cycles of the ticks; the caller reads it when it is full."""
         super().__init__(config, codec, start_ns)
         self.thermal.learning = True
         self.log = CycleLog(len(self.nodes))
 
     def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:
-        """One tick; nothing goes out."""
+        """Run one tick; no frame is sent."""
         block = frames if isinstance(frames, Block) else block_of(frames)
         self.run(block, np.array([block.size]), now)
         return []
 
     def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
-        """As `Gateway.run`; ends when the log is full."""
+        """Run ticks as `Gateway.run` does; stop when the log is full."""
         period_ns = self.config.loop.period_ns
         block = block.part(0, int(ends[-1]))
         if self.translator is not None:
@@ -117,12 +118,12 @@ class TemperatureReader(Gateway):
 
     @property
     def changed(self) -> bool:
-        """Whether the log is to be read."""
+        """Whether the log is full and must be read."""
         return self.log.full
 
     @property
     def says_good(self) -> bool:
-        """Whether any message is still fresh: a hole in a log is skipped once none is."""
+        """Whether any message is still fresh: a gap in a log is skipped once none is."""
         channels = self.inbox.receiver.channels
         age = self._now - channels["accepted_ns"]
         return bool(((channels["accepted_ns"] >= 0) & (age <= channels["limit_ns"])).any())

@@ -3,10 +3,10 @@
 Two time bases. `DAYS`: the paper's, 360 samples in 100 days, the fault from day 50 (sample 180) to
 day 75 (270). `BENCH`: what a bench sees on CAN, one sample a second for two hours.
 
-What makes it hard is drawn per motor and measured by nobody: cooling air 3 %, local air 1 K,
-bearing friction 8 % (one sigma, each a slow random course on top of a constant of the motor),
-ageing as a jump diffusion, which a train that is new does not show yet, and faults of no more than
-3 to 12 K true effect.
+The difficulty: each motor has its own disturbances, which no sensor measures: cooling air 3 %,
+local air 1 K, bearing friction 8 % (one sigma, each a slow random course on top of a constant of
+the motor), and ageing as a jump diffusion, which a new train does not have yet. The true effect of
+a fault is only 3 to 12 K.
 
 May know: heat. May not know: any method of detection.
 """
@@ -38,7 +38,7 @@ OFFSET_K: Final = 0.7
 class Base(NamedTuple):
     """A time base: K samples `sample_s` apart, simulated in steps of `step_s`.
 
-    memory_s: time constants of the disturbances' courses; onset, length: ranges, samples.
+    memory_s: time constant of the disturbances' courses; onset, length: ranges, samples.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Base(NamedTuple):
     onset: tuple[int, int]
     length: tuple[int, int]
     ageing: float
-    """Most that it drifts by in the record, share of the air."""
+    """Largest drift of the cooling in the record, as a share of the air."""
 
 
 DAYS: Final = Base("days", 360, 24_000.0, 60.0, 2 * 86_400.0, (180, 180), (90, 90), 0.12)
@@ -59,22 +59,22 @@ KINDS: Final = (
     "overheating", "cooling_loss", "bearing", "winding_resistance", "sensor_bias", "intermittent",
 )  # fmt: skip
 CREEP: Final = "sensor_creep"
-"""A sensor that goes off as slowly as heat does: not in the benchmark's sums."""
+"""A sensor that drifts as slowly as heat does; it does not count in the benchmark's sums."""
 SENSOR_KINDS: Final = ("sensor_bias", "intermittent", CREEP)
 SIZE_K: Final = (3.0, 12.0)
-"""True effect at the sensor that shows it most: settled, at the mean duty, where samples are hours
-apart; else the largest that is reached while the fault lasts."""
+"""True effect at the sensor that shows it most. Where samples are hours apart: settled, at the mean
+duty; otherwise the largest effect that is reached while the fault lasts."""
 MOST_BLOCKED, MOST_MORE = 0.9, 1e5
-"""Largest share of the air that is lost; most of anything else."""
+"""Largest share of the air that a fault can take; largest amount of any other fault."""
 INTERMITTENT_K: Final = (15.0, 40.0)
 INTERMITTENT_SHARE: Final = 0.05
-"""Of the readings, in bursts, while the connector is loose."""
+"""Share of wrong readings, in bursts, while the connector is loose."""
 
 
 class Fault(NamedTuple):
-    """What is wrong, where, and when.
+    """Kind, place and time of a fault.
 
-    kind: of `KINDS`; motor; point: 0..2 of sensors and bearings, else -1; begin, end: samples.
+    kind: of `KINDS`; motor; point: 0..2 for sensors and bearings, else -1; begin, end: samples.
     """
 
     kind: str
@@ -115,9 +115,9 @@ class Labelled(NamedTuple):
 def train(
     seed: int, base: Base, kind: str | None, number: int = 0, *, new: bool = False
 ) -> Labelled:
-    """Run `number` of the train `seed`: the same motors every time, another duty and weather.
+    """Simulate run `number` of the train `seed`: the same motors, with another duty and weather.
 
-    kind: of `KINDS`, or None for a healthy run; new: its cooling does not age. A pure function of
+    kind: of `KINDS`, or None for a healthy run; new: the cooling does not age. A pure function of
     its arguments.
     """
     own = np.random.default_rng([seed, STREAM, TRAIN])
@@ -156,13 +156,13 @@ def train(
 
 
 def clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:
-    """Of a normal distribution with standard deviation 1, clipped to 2.5."""
+    """Draw from a normal distribution with standard deviation 1, clipped to 2.5."""
     out: Array = np.clip(rng.standard_normal(shape), -2.5, 2.5)
     return out
 
 
 def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
-    """(L, M) factors around a constant of each motor, that wander with the base's memory."""
+    """Factors (L, M) that wander around a constant of each motor, with the base's memory."""
     keep = np.exp(-base.step_s / base.memory_s)
     white = rng.standard_normal((steps, MOTORS))
     white[0] /= np.sqrt(1.0 - keep**2)
@@ -173,7 +173,7 @@ def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
 
 
 def _ageing(rng: Rng, most: float, steps: int) -> Array:
-    """(L, M) share of the air that dirt leaves: drift, Brownian motion, and jumps (a cleaning).
+    """Share (L, M) of the air that dirt leaves: drift, Brownian motion, and jumps (a cleaning).
 
     most: largest drift in the whole record.
     """
@@ -189,14 +189,14 @@ def _ageing(rng: Rng, most: float, steps: int) -> Array:
 
 
 def _duty(rng: Rng, base: Base, steps: int) -> tuple[Array, Array, Array]:
-    """(L,) torque Nm, rotor speed rad/s, ambient degC: pull, coast, brake, stop; the weather."""
+    """Torque Nm, rotor speed rad/s, ambient degC, (L,) each: legs between stops; the weather."""
     rated = TRACTION_350KW.T_rated
     torque, speed = np.empty(steps), np.empty(steps)
     at, now = 0, 0.0
     while at < steps:
         top = rng.uniform(150.0, 420.0)
         for kind in ("pull", "cruise", "coast", "brake", "stand"):
-            # To the bit what `uniform` draws one by one.
+            # The same bits as draws of `uniform` one by one.
             pull, cruise, coast, brake, stand, *share = rng.random(8).tolist()
             for_s = {
                 "pull": 120.0 + 240.0 * pull, "cruise": 120.0 + 1380.0 * cruise,
@@ -223,12 +223,12 @@ def _duty(rng: Rng, base: Base, steps: int) -> tuple[Array, Array, Array]:
 
 
 def fault_of(rng: Rng, base: Base, kind: str) -> Fault:
-    """Where, when and how large: drawn, of this kind; the motor is one of `MOTORS`."""
+    """Draw place, time and size of a fault of this kind; the motor is one of `MOTORS`."""
     begin = int(rng.integers(base.onset[0], base.onset[1] + 1))
     length = int(rng.integers(base.length[0], base.length[1] + 1))
     any_point, end = int(rng.integers(0, 3)), int(rng.integers(1, 3))
     point = any_point if kind in SENSOR_KINDS else end if kind == "bearing" else -1
-    # The paper's is coach 4; elsewhere a method could learn which.
+    # The paper's fault is in coach 4; with a fixed motor, methods could learn which one it is.
     motor = 3 if base is DAYS else int(rng.integers(0, MOTORS))
     limits = INTERMITTENT_K if kind == "intermittent" else SIZE_K
     return Fault(kind, motor, point, begin, min(begin + length, base.samples),
@@ -236,9 +236,9 @@ def fault_of(rng: Rng, base: Base, kind: str) -> Fault:
 
 
 def _reaching(size_k: float, ill: Callable[[float], Array], healthy: Array) -> Array:
-    """(K, M, 3) degC with a fault whose largest effect is `size_k`, or as near as it gets.
+    """Temperatures (K, M, 3) degC with a fault whose largest effect is `size_k`, if possible.
 
-    ill: temperatures with this share of the fault that would reach it settled.
+    ill: temperatures for a share of the fault; a share of 1 would reach `size_k` when settled.
     """
     share = 1.0
     for _ in range(4):
@@ -251,9 +251,9 @@ def _reaching(size_k: float, ill: Callable[[float], Array], healthy: Array) -> A
 
 
 def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -> Ills:
-    """Of a fault of heat, by its true effect.
+    """Causes of a fault of heat, sized by its true effect.
 
-    With a share of 1 the point that shows it most is `size_k` warmer at the mean duty, settled.
+    With a share of 1, the point that shows it most settles `size_k` warmer, at the mean duty.
     """
     ills = no_ills(len(speed))._replace(motor=fault.motor)
     per = base.sample_s / base.step_s
@@ -262,7 +262,7 @@ def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -
     healthy = settled(*mean, 0.0, 1.0, np.zeros(NODES))
 
     def most(amount: float) -> float:
-        """K that the point which shows it most is warmer, for this much of the fault's kind."""
+        """Temperature rise, K, at the point that shows it most, for this amount of the fault."""
         heat = (amount if fault.kind in ("overheating", "bearing") else 0.0) * np.eye(NODES)
         air = amount if fault.kind == "cooling_loss" else 0.0
         copper = 1.0 + amount if fault.kind == "winding_resistance" else 1.0
@@ -275,7 +275,7 @@ def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -
     if fault.kind == "overheating":
         ills.heat[when] = amount
     elif fault.kind == "bearing":
-        # Friction heats while the rotor turns.
+        # Friction makes heat only while the rotor turns.
         ills.heat[when] = amount * np.abs(speed[when]) / max(mean[1], 1e-9)
     elif fault.kind == "cooling_loss":
         ills.blocked[when] = amount
@@ -285,7 +285,7 @@ def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -
 
 
 def _amount(effect: Callable[[float], float], wanted: float, most: float) -> float:
-    """The amount (<= most) whose rising effect is the wanted one, by bisection."""
+    """The amount (<= most) that has the wanted effect, by bisection; the effect rises with it."""
     low, high = 0.0, most
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -294,7 +294,7 @@ def _amount(effect: Callable[[float], float], wanted: float, most: float) -> flo
 
 
 def sensor_error(rng: Rng, base: Base, fault: Fault) -> Array:
-    """(K,) K of either sign: a bias at once or creeping up, or bursts of a loose connector."""
+    """Error (K,) in K, of either sign: a sudden or creeping bias, or a loose connector's bursts."""
     error = np.zeros(base.samples)
     length = fault.end - fault.begin
     sign = float(rng.choice([-1.0, 1.0]))

@@ -15,18 +15,18 @@ from gateway.study.reproduction_figures import save, subplots
 Array = NDArray[np.float64]
 
 COLOURS: Final = (BLUE, GREEN, "#CC79A7", ORANGE)
-"""Of the four coaches; they differ by dashes as well."""
+"""Colours of the four coaches, which differ in their dashes as well."""
 DASHES: Final = ("-", "--", "-.", ":")
 NAMES: Final = ("$x_1$ stator", "$x_2$ drive end", "$x_3$ non-drive end")
 
 
 class Train(NamedTuple):
-    """What the figures show of one train of K samples and M motors.
+    """Data for the figures: one train of K samples and M motors.
 
     days (K,); fault: first and last day; odd: the motor with the fault; reading, true, state (K, M,
-    3) degC; mixed (K, M) degC; jumps (K - 1,) of `beyond` (K,): the odd motor's stator less the
-    motors' mean; detail (K - 1,): its undecimated Haar details of level 1;
-    maisd (K, 3) K and its limits (3,).
+    3) degC; mixed (K, M) degC; beyond (K,): the odd motor's stator less the motors' mean, K; jumps
+    (K - 1,): whether `beyond` jumps; detail (K - 1,): undecimated Haar details of `beyond`, level
+    1; maisd (K, 3) K and its limits (3,).
     """
 
     days: Array
@@ -61,9 +61,9 @@ def states(stem: Path, train: Train) -> None:
 
 
 def errors(stem: Path, train: Train) -> None:
-    """Figure 5: estimates less what a sensor without noise would read.
+    """Figure 5: estimates less the readings of a sensor without noise.
 
-    Of the mixed state, less the mean of the three points.
+    For the mixed state, less the mean of these readings at the three points.
     """
     figure, axes = subplots(4, 1, (11.0, 9.0), sharex=True)
     for p in range(3):
@@ -83,7 +83,7 @@ def errors(stem: Path, train: Train) -> None:
 
 
 def jumps(stem: Path, train: Train) -> None:
-    """Figure 6: details over time and scale, and the jumps among the first of them."""
+    """Figure 6: wavelet details over time and scale, and the jumps among those of level 1."""
     import pywt
 
     figure, axes = subplots(3, 1, (11.0, 8.0), sharex=True)
@@ -128,7 +128,7 @@ def motors(stem: Path, train: Train) -> None:
 
 
 def detection(stem: Path, train: Train, found: Mapping[str, tuple[Array, float]]) -> None:
-    """Figure 8: every method's statistic (K,) over its limit."""
+    """Figure 8: every method's statistic (K,) with its limit."""
     figure, axes = subplots(len(found), 1, (11.0, 1.6 * len(found) + 1.2), sharex=True)
     for row, (name, (statistic, limit)) in enumerate(found.items()):
         axis = axes[row, 0]

@@ -1,4 +1,4 @@
-"""Heat of the labelled trains' motors: six nodes, 350 kW, from torque and speed to temperatures.
+"""Heat of the labelled trains' 350 kW motors: six nodes, from currents and speed to temperatures.
 
 May know: heat. May not know: any method of detection.
 """
@@ -29,16 +29,17 @@ LINKS: Final = (
 )  # fmt: skip
 """W/K. Time constants: winding 200 s, bearings 400 s, the whole motor 40 min."""
 AIR_STILL, AIR_PER_SPEED, BEARING_AIR = 40.0, 0.40, 6.0
-"""W/K of frame and, per rad/s of its fan, W/K of bearings to the air."""
+"""To the air: frame, W/K; frame, W/K per rad/s of the fan; each bearing, W/K."""
 IRON, FRICTION, ROTOR_SHARE = (2.0, 0.028), 0.35, 0.2
-"""W per rad/s and (rad/s)^2 of the rotor; W per rad/s and bearing; of the iron loss."""
+"""Iron loss, W per rad/s and per (rad/s)^2; friction, W per rad/s and bearing; share of the iron
+loss that is in the rotor."""
 COPPER_SLOPE, COPPER_REFERENCE = 0.0039, 60.0
 
 
 class Ills(NamedTuple):
-    """What is wrong with one motor.
+    """Causes of a fault in one motor.
 
-    heat (L,) W in `node`; blocked (L,) share of its air; resistance (L,) factor on its winding's.
+    heat (L,) W in `node`; blocked (L,) share of its air; resistance (L,) factor on the winding's.
     """
 
     motor: int
@@ -49,12 +50,12 @@ class Ills(NamedTuple):
 
 
 def no_ills(steps: int) -> Ills:
-    """Of a healthy motor, for so many steps."""
+    """`Ills` of a healthy motor, without any fault, for so many steps."""
     return Ills(0, WINDING, np.zeros(steps), np.zeros(steps), np.ones(steps))
 
 
 def settled(square: float, speed: float, blocked: float, resistance: float, extra: Array) -> Array:
-    """(3,) K above ambient at the measured points, in the steady state of a mean motor."""
+    """Rise (3,) above ambient, K, at the measured points, in the steady state of a mean motor."""
     g = np.zeros((NODES, NODES))
     for a, b, w in LINKS:
         g[a, b] = g[b, a] = w
@@ -77,7 +78,7 @@ def heat_record(
     step_s: float, square: Array, speed: Array, unlike: tuple[Array, Array, Array], ills: Ills,
     at: NDArray[np.int64],
 ) -> Array:  # fmt: skip
-    """(K, M, 3) degC at the measured points, from a motor that has run for some hours.
+    """Temperatures (K, M, 3) degC at the measured points; the motors have run for some hours.
 
     unlike: local air degC, factors on cooling air and friction, each (L, M).
     """

@@ -1,7 +1,7 @@
 """Heat of the second world's motors: eight lumps, some merged in each train, cooling by node.
 
-Written apart from `thermal_heat`, which it shares no number and no equation with: what a method has
-learnt of that one does not help here. May know: heat. May not know: any method of detection.
+It is independent of `thermal_heat` and shares no number and no equation with it, so nothing that a
+method has learnt there helps here. May know: heat. May not know: any method of detection.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ MERGED: Final = {
     7: (0, 1, 2, 3, 4, 5, 6, 4),
     8: (0, 1, 2, 3, 4, 5, 6, 7),
 }
-"""By number of nodes: which of them each lump is a part of. Textbooks use three to eight."""
+"""By number of nodes: the node to which each lump belongs. Textbooks use three to eight nodes."""
 CAPACITY: Final = np.array([20e3, 12e3, 140e3, 95e3, 12e3, 10e3, 80e3, 60e3])
 """J/K: 80 kg of copper, 300 kg of iron, 190 kg of frame, bearings with their shields, 170 kg of
-rotor, 120 kg of the gearbox's housing that the drive end is bolted to."""
+rotor, 120 kg of the gearbox's housing, to which the drive end is bolted."""
 LINKS: Final = (
     (SLOT, CORE, 170.0), (SLOT, END_WINDING, 120.0), (CORE, FRAME, 350.0),
     (END_WINDING, FRAME, 9.0),
@@ -33,20 +33,20 @@ LINKS: Final = (
     (ROTOR, DRIVE_END, 6.0),
     (ROTOR, OTHER_END, 6.0), (DRIVE_END, GEARBOX, 11.0),
 )  # fmt: skip
-"""W/K."""
+"""Lumps and the heat conductance between them, W/K."""
 STILL: Final = np.array([0.0, 0.0, 0.0, 30.0, 2.0, 2.0, 0.0, 6.0])
 MOVING: Final = np.array([0.0, 0.25, 0.0, 1.2, 0.06, 0.06, 0.0, 0.3])
-"""W/K to the air: at a stand, and per (rad/s)^0.8 of the rotor, as turbulent flow cools."""
+"""To the air: W/K at standstill, and W/K per (rad/s)^0.8 of the rotor, as for turbulent flow."""
 COPPER_SLOPE: Final = 0.0039
 SHARE: Final = np.array([0.6, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-"""Of the copper loss: in the slots, in the end winding."""
+"""Shares of the copper loss in the slots and in the end winding."""
 STEP_S: Final = 1.0
 
 
 class Network(NamedTuple):
     """M motors of n nodes.
 
-    capacity (M, n) J/K; flow (M, n, n) W/K; spread (8, n) of lumps to nodes; seen
+    capacity (M, n) J/K; flow (M, n, n) W/K; spread (8, n): 1 where a lump belongs to a node; seen
     (3,): nodes of the sensors.
     """
 
@@ -57,7 +57,7 @@ class Network(NamedTuple):
 
 
 def network(nodes: int, capacity: Array, links: Array) -> Network:
-    """M motors of so many nodes; capacity (M, 8), links (M, 10): factors on those above."""
+    """Network of M motors; capacity (M, 8), links (M, 10): factors on CAPACITY and LINKS."""
     spread = np.eye(nodes)[list(MERGED[nodes])]
     motors = len(capacity)
     flow = np.zeros((motors, 8, 8))
@@ -70,7 +70,7 @@ def network(nodes: int, capacity: Array, links: Array) -> Network:
 
 
 def settle(net: Network, heat: Array, copper: Array, cooling: Array, air: Array) -> Array:
-    """(M, n) degC in the steady state of the mean course; arguments as `warm`."""
+    """Temperatures (M, n) degC in the steady state of the mean course; arguments as in `warm`."""
     winding = SHARE @ net.spread
     given = heat.mean(axis=0) @ net.spread + copper.mean(axis=0)[:, None] * winding
     away = cooling.mean(axis=0) @ net.spread
@@ -82,7 +82,7 @@ def settle(net: Network, heat: Array, copper: Array, cooling: Array, air: Array)
 def warm(
     net: Network, start: Array, heat: Array, copper: Array, cooling: Array, air: Array
 ) -> Array:
-    """(L, M, 3) degC at the sensors, in steps of `STEP_S`, from nodes at `start` on.
+    """Temperatures (L, M, 3) degC at the sensors, in steps of `STEP_S`, from `start` (M, n).
 
     heat, cooling (L, M, 8): W and W/K; copper (L, M) W at 60 degC; air (L, M) degC.
     """

@@ -1,9 +1,9 @@
-"""A second world of labelled trains, of another structure than `thermal_dataset`.
+"""A second world of labelled trains, with another structure than `thermal_dataset`.
 
-One sample a second. Only the form of the labels and the kinds of faults are shared. What differs:
-the number of nodes (3 to 8) and motors (1 to 16, some parked), cooling by direction, sun and
-tunnels, sensors that lag, drift, share a channel and are coarse, losses that no signal shows. Every
-range is what a train in service has; its reason stands beside it.
+One sample a second. Only the form of the labels and the kinds of faults are shared. Differences:
+the number of nodes (3 to 8) and motors (1 to 16, some parked); cooling that depends on direction;
+sun and tunnels; sensors that lag, drift, share a channel and are coarse; power losses that no
+signal shows. Every range is that of trains in service; the reason is beside it.
 
 May know: heat. May not know: any method of detection.
 """
@@ -37,16 +37,16 @@ Rng = np.random.Generator
 STREAM: Final = 31
 TRAIN, RUN = range(2)
 MOTORS: Final = (1, 2, 3, 4, 4, 6, 8, 12, 16)
-"""Of a train: a shunter to a train of four powered coaches; four is the commonest."""
+"""Motors of a train, from a shunter to a train of four powered coaches; four is commonest."""
 DUTIES: Final = {
     "metro": (60.0, 110.0, 30.0, 0.9), "regional": (150.0, 420.0, 60.0, 0.8),
     "freight": (300.0, 1500.0, 240.0, 0.7),
 }  # fmt: skip
-"""Shortest and longest time between stops, s; at a stop, s; share of the rated torque."""
+"""Shortest and longest time between stops, s; time at a stop, s; share of the rated torque."""
 
 
 class Train(NamedTuple):
-    """What stays with a train: numbers of M motors, measured by nobody but for `resolution_k`."""
+    """Constants of a train of M motors; none is measured, except `resolution_k`."""
 
     net: Network
     current: Array
@@ -68,9 +68,9 @@ class Train(NamedTuple):
 def train(
     seed: int, base: Base, kind: str | None, number: int = 0, *, new: bool = True
 ) -> Labelled:
-    """As `thermal_dataset.train`, of the other world; within two hours nothing ages.
+    """As `thermal_dataset.train`, in the other world; nothing ages within two hours.
 
-    Raises ValueError for samples hours apart: its sensors and weather are those of minutes.
+    Raises ValueError for samples hours apart: sensors and weather here change within minutes.
     """
     if base is not BENCH:
         raise ValueError("the other world has only the bench base")
@@ -80,7 +80,7 @@ def train(
     t, steps = _train(own), base.samples
     motors = len(t.current)
     torque, speed, way = _duty(rng, t.duty, steps)
-    # One motor in ten runs of a longer train is cut out: it turns without current.
+    # In one of ten runs of a longer train, one motor is cut out: it turns without current.
     parked = (np.arange(motors) == rng.integers(0, motors)) & (motors > 3) & (rng.random() < 0.1)
     amps = np.abs(torque) / (1.5 * TRACTION_350KW.pole_pairs * TRACTION_350KW.psi_pm)
     square = np.outer(amps**2, t.current**2 * ~parked)
@@ -95,9 +95,9 @@ def train(
         effect = _effect(rng, t, base, wrong, truth)
     true = healthy * t.gain + t.offset_k + error + effect
     noise = t.noise_k * rng.standard_normal(true.shape)
-    # A Pt100 in its usual transmitter ends at 200 degC.
+    # The usual transmitter of a Pt100 ends at 200 degC.
     read = np.clip(np.round((true + noise) / t.resolution_k) * t.resolution_k, -40.0, 200.0)
-    # The load comes late and averaged: torque reference, filters, and the message's cycle.
+    # Load signals are late and averaged: torque reference, filters, and the message's cycle.
     seen_square, seen_speed = (_lagged(x, t.load_lag_s) for x in (square, np.abs(speed)))
     seen_air = np.round(_lagged(ambient, t.ambient_lag_s) * 2.0) / 2.0
     at = np.arange(steps)
@@ -106,14 +106,14 @@ def train(
 
 def _train(own: Rng) -> Train:
     motors = int(own.choice(MOTORS))
-    # The make of motor differs from a mean one by a third, motors of a make by 4 % (tolerances).
+    # A make of motor differs from the mean by a third, motors of one make by 4 % (tolerances).
     make, alike = np.exp(0.3 * own.standard_normal(18)), own.standard_normal((motors, 18))
     like = make * np.exp(0.04 * np.clip(alike, -2.5, 2.5))
     return Train(
         network(int(own.integers(3, 9)), like[:, :8], like[:, 8:]),
-        # Diameters of wheels differ by some millimetres, and with them slips and currents.
+        # Wheel diameters differ by some millimetres, and so do slips and currents.
         current=1.0 + 0.015 * clipped(own, motors),
-        # The leading motor of a bogie gets more air than the one in its wake; they swap.
+        # A bogie's leading motor gets more air than the other; with the direction they swap.
         direction=0.03 * clipped(own, motors),
         iron=own.uniform(0.7, 1.4) * (1.0 + 0.03 * clipped(own, motors)),
         rub=0.5 * (1.0 + 0.1 * clipped(own, (motors, 2))),
@@ -121,28 +121,28 @@ def _train(own: Rng) -> Train:
         # Class B Pt100: 0.3 K + 0.5 %; gains within that.
         offset_k=0.5 * clipped(own, (motors, 3)),
         gain=1.0 + 0.003 * clipped(own, (motors, 3)),
-        # Bead in a winding 3 to 15 s; in the bore of a shield up to a minute.
+        # Time constants: bead in a winding 3 to 15 s; in the bore of a shield up to a minute.
         sensor_lag_s=own.uniform([3.0, 10.0, 10.0], [15.0, 60.0, 60.0]),
-        # Under the roof, in a housing.
+        # The ambient sensor is under the roof, in a housing.
         ambient_lag_s=float(own.uniform(60.0, 300.0)),
         load_lag_s=float(own.uniform(0.5, 5.0)),
         noise_k=float(own.uniform(0.05, 0.4)),
         resolution_k=float(own.choice([0.1, 0.25, 0.5, 1.0])),
-        # Reference and supply of a motor's three inputs are one.
+        # The three inputs of a motor share one reference and supply.
         channel_k=float(own.uniform(0.05, 0.3)),
         duty=str(own.choice(list(DUTIES))),
     )
 
 
 def _lagged(x: Array, lag_s: float) -> Array:
-    """First-order lag along the first axis, from its first value on."""
+    """Apply a first-order lag along the first axis, started at the first value."""
     keep = np.exp(-1.0 / lag_s)
     start = keep * x[:1]
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=start)[0])
 
 
 def _wander(rng: Rng, shape: tuple[int, ...], memory_s: float) -> Array:
-    """Course of standard deviation 1, clipped to 2.5, with this memory."""
+    """Random course with standard deviation 1, clipped to 2.5, and this time constant."""
     keep = np.exp(-1.0 / memory_s)
     white = rng.standard_normal(shape)
     white[0] /= np.sqrt(1.0 - keep**2)
@@ -150,9 +150,9 @@ def _wander(rng: Rng, shape: tuple[int, ...], memory_s: float) -> Array:
 
 
 def _duty(rng: Rng, duty: str, steps: int) -> tuple[Array, Array, Array]:
-    """(L,) torque Nm, rotor speed rad/s, direction +-1: legs between stops."""
+    """Torque Nm, rotor speed rad/s and direction +-1, (L,) each: legs between stops."""
     shortest, longest, stop_s, pull = DUTIES[duty]
-    # The hour of the day: at night trains are light, in the peak full.
+    # Load depends on the hour of the day: trains are light at night and full in the peak.
     load = 0.85 + 0.15 * np.sin(2.0 * np.pi * (rng.uniform() + np.arange(steps) / 86_400.0))
     torque, speed, way = np.zeros(steps), np.zeros(steps), np.ones(steps)
     at, sign = 0, float(rng.choice([-1.0, 1.0]))
@@ -175,24 +175,24 @@ def _duty(rng: Rng, duty: str, steps: int) -> tuple[Array, Array, Array]:
 
 
 def _weather(rng: Rng, t: Train, steps: int) -> tuple[Array, Array]:
-    """(L, M) degC at the motors, (L,) degC of the open air: season, gusts, sun and tunnels."""
+    """Air (L, M) degC at the motors, and (L,) in the open: season, gusts, sun and tunnels."""
     season = rng.uniform(-10.0, 32.0)
     open_air = season + 0.5 * _wander(rng, (steps,), 1200.0)
     tunnel = np.zeros(steps, dtype=np.bool_)
     for _ in range(int(rng.integers(0, 5))):
         at = int(rng.integers(0, steps))
         tunnel[at : at + int(rng.uniform(30.0, 600.0))] = True
-    # A tunnel has the year's mean, some 14 degC; half of its air comes in with the train.
+    # A tunnel has the mean of the year, about 14 degC; the train brings in half of the air.
     ambient = _lagged(np.where(tunnel, 0.5 * open_air + 0.5 * 14.0, open_air), 20.0)
     clear = np.clip(0.5 + _wander(rng, (steps,), 1500.0), 0.0, 1.0) * rng.choice([0.0, 1.0])
-    # The sunny side of the ballast and the frame: up to 3 K, which come and go in minutes.
+    # Ballast and frame on the sunny side are up to 3 K warmer; this changes within minutes.
     sun = _lagged(3.0 * clear * ~tunnel, 300.0)[:, None] * t.side
     draught = 0.5 * _wander(rng, (steps, len(t.side)), 900.0)
     return ambient[:, None] + sun + draught, ambient
 
 
 def _slow_errors(rng: Rng, t: Train, steps: int) -> Array:
-    """(L, M, 3) K that sensors are off by in health: drift, and what a channel shares."""
+    """Errors (L, M, 3) of healthy sensors, K: drift, and the part that a channel shares."""
     motors = len(t.side)
     # Self-heating and thermal voltages: a fifth of a kelvin in an hour.
     drift = 0.15 * _wander(rng, (steps, motors, 3), 3600.0)
@@ -203,13 +203,13 @@ def _slow_errors(rng: Rng, t: Train, steps: int) -> Array:
 def _flows(
     rng: Rng, t: Train, truth: tuple[Array, Array, Array, Array]
 ) -> tuple[Array, Array, Array, Array]:
-    """What `warm` takes, of healthy motors."""
+    """Arguments of `warm` for healthy motors: heat, copper loss, cooling, air."""
     square, speed, way, air = truth
     steps, motors = square.shape
     flows, cooling = np.zeros((steps, motors, 8)), np.empty((steps, motors, 8))
     copper = 1.5 * TRACTION_350KW.R_s * square
-    # Iron: hysteresis and eddies, 1.5th power; magnets' part in the rotor. The inverter's ripple
-    # adds a tenth of the copper loss below the speed at which its pulse pattern changes.
+    # Iron: hysteresis and eddies, power 1.5 of speed; the magnets' part is in the rotor. Ripple of
+    # the inverter adds a tenth of the copper loss below the speed where its pulse pattern changes.
     iron = 0.75 * speed[:, None] ** 1.5 * t.iron
     ripple = 0.1 * copper * (speed < 180.0)[:, None]
     flows[:, :, heat.CORE], flows[:, :, heat.ROTOR] = (
@@ -226,7 +226,7 @@ def _flows(
 
 
 def _felt(t: Train, true: Array) -> Array:
-    """(L, M, 3) degC as the sensors feel it."""
+    """Temperatures (L, M, 3) degC after the lag of the sensors."""
     out = np.empty_like(true)
     for q, lag in enumerate(t.sensor_lag_s.tolist()):
         out[:, :, q] = _lagged(true[:, :, q], lag)
@@ -234,14 +234,14 @@ def _felt(t: Train, true: Array) -> Array:
 
 
 def _driven(rng: Rng, parked: NDArray[np.bool_]) -> int:
-    """A motor that has current: a fault of one that has none is nobody's."""
+    """Draw a motor with current: a fault in a motor without current has no effect to detect."""
     return int(rng.choice(np.flatnonzero(~parked)))
 
 
 def _effect(
     rng: Rng, t: Train, base: Base, wrong: Fault, truth: tuple[Array, Array, Array, Array]
 ) -> Array:
-    """(L, M, 3) K: what the fault adds to the readings."""
+    """Effect (L, M, 3) of the fault on the readings, K."""
     square, speed, way, air = truth
     out, one = np.zeros((*square.shape, 3)), slice(wrong.motor, wrong.motor + 1)
     if wrong.kind in SENSOR_KINDS:
@@ -271,7 +271,10 @@ def _effect(
 def _warm_ill(
     t: Train, given: tuple[Array, Array, Array, Array], wrong: Fault, amount: float, speed: Array
 ) -> Array:
-    """(L, 1, 3) degC of the faulty motor. amount: W, or share of the air or of the resistance."""
+    """Temperatures (L, 1, 3) degC of the faulty motor.
+
+    amount: W, or the lost share of the air, or 200 times the added share of the resistance.
+    """
     start = settle(t.net, *given)
     flows, copper, cooling, air = (x.copy() for x in given)
     when = slice(wrong.begin, wrong.end)

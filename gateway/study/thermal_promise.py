@@ -1,4 +1,4 @@
-"""Is a stated rate of false alarms kept? Trains calibrated on some hours, judged on others."""
+"""Check whether a stated rate of false alarms is kept, in other hours than those of its limit."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from gateway.study.thermal_trials import FIT_RUNS, WORLDS, Shared, judge, record
 
 RUN_H = BENCH.samples * BENCH.sample_s / 3600.0
 FIRST = 100
-"""Number of the first fault-free run that nothing is learnt from."""
+"""Number of the first fault-free run from which nothing is learnt."""
 
 
 class Split(NamedTuple):
-    """rate in 1000 h; calibration_h: for the limit; judged_h: in which false alarms are counted."""
+    """Stated rate in 1000 h; calibration_h: hours for the limit; judged_h: for false alarms."""
 
     rate: float
     calibration_h: float
@@ -31,7 +31,7 @@ class Split(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Of one train. alarms in hours; scores of faults with the usual limit and with this one."""
+    """Results of one train: `alarms` in `hours`; scores of faults with the usual and this limit."""
 
     seed: int
     promise: Promise
@@ -42,12 +42,12 @@ class Kept(NamedTuple):
 
     @property
     def kept(self) -> bool:
-        """No more alarms than the rate allows in so many hours."""
+        """Whether there are no more alarms than the rate allows in so many hours."""
         return self.alarms <= self.promise.rate * self.hours / 1000.0
 
 
 def split(seed: int, world: str, how: Split, kinds: Sequence[str] = KINDS) -> Kept | None:
-    """None of a train of one motor, which is never judged; a pure function."""
+    """Results of one train; None with a single motor, which is never judged; a pure function."""
     train, fits = WORLDS[world], FIT_RUNS[BENCH.name]
 
     def runs(first: int, hours: float) -> Iterator[Record]:
@@ -76,7 +76,7 @@ def split(seed: int, world: str, how: Split, kinds: Sequence[str] = KINDS) -> Ke
 
 
 def false_alarms(monitor: ThermalMonitor, record: Record) -> int:
-    """Times that a fault-free train begins to report something."""
+    """Number of times that a fault-free train begins to report something."""
     judged = monitor.known_motors["unexplained"] == 0
     reported = [
         bool((monitor.held | (monitor.offsets != 0.0).any(axis=1))[judged].any())
@@ -87,7 +87,7 @@ def false_alarms(monitor: ThermalMonitor, record: Record) -> int:
 
 
 def splits(seeds: Sequence[int], world: str, how: Split, jobs: int = 1) -> Iterator[Kept | None]:
-    """Train by train, in order, in so many processes."""
+    """Yield the results train by train, in order, computed in `jobs` processes."""
     each = partial(split, world=world, how=how)
     if jobs <= 1:
         yield from map(each, seeds)
@@ -99,7 +99,7 @@ def splits(seeds: Sequence[int], world: str, how: Split, jobs: int = 1) -> Itera
 
 
 def report(found: Sequence[Kept]) -> str:
-    """Tables of at least one train: alarms of each, faults found, and in how many it was kept."""
+    """Tables for one or more trains: alarms of each, faults found, and how many kept the rate."""
     rows = [
         [
             str(k.seed), "promised" if k.promise.promised else "extrapolated",

@@ -1,4 +1,4 @@
-"""The report on paper `thermal`: Table 2 beside the paper's, what is comparable, the figures."""
+"""The report on paper `thermal`: our Table 2 beside the paper's, what can be compared, figures."""
 
 from __future__ import annotations
 
@@ -88,9 +88,10 @@ that look at temperatures alone cannot know."""
 
 
 class Outcome(NamedTuple):
-    """Of the trains with these seeds.
+    """Results of the trains with these seeds.
 
-    scores: of every train, by base and method; kind: of fault; missing: methods whose library is.
+    kind: of fault; scores: of every train, by base and method; missing: methods that were not run
+    because their library is not installed.
     """
 
     kind: str
@@ -100,12 +101,12 @@ class Outcome(NamedTuple):
 
 
 def write(folder: Path, outcome: Outcome) -> None:
-    """`report.md`, `report.html` beside the figures already there. Raises OSError."""
+    """Write `report.md` and `report.html` beside the figures already there. Raises OSError."""
     page.write(folder, "Paper thermal, reproduced", markdown(outcome), FIGURES)
 
 
 def rows(outcome: Outcome, base: str = "days") -> list[list[str]]:
-    """Table 2, with a row for each of our variants. The printed ones are of the paper's days."""
+    """Rows of Table 2 with our variants; the paper's numbers are for its base, days."""
     out = []
     for method, name in NAMES.items():
         printed = PRINTED.get(method) if base == "days" else None
@@ -125,13 +126,13 @@ def rows(outcome: Outcome, base: str = "days") -> list[list[str]]:
 
 
 def ablation(outcome: Outcome) -> str:
-    """What the parts of the paper's method do on the days base, in Markdown."""
+    """Table, in Markdown, of the effect of each part of the paper's method, on the days base."""
     head = ("parts of the paper's method", *HEAD[1:6])
     return table_of(head, ([PARTS[m], *_cells(outcome.scores["days"][m])] for m in PARTS))
 
 
 def _cells(scores: Sequence[Score]) -> list[str]:
-    """Accuracy to the column at the printed false positive rate."""
+    """Cells from accuracy to the FNR at the printed false positive rate."""
     m, sd = mean(scores), spread(scores)
     pairs = (m.accuracy, sd.accuracy), (m.fpr, sd.fpr), (m.fnr, sd.fnr)
     best = f"{100 * m.best_accuracy:.1f} / {100 * m.best_fpr:.1f} / {100 * m.best_fnr:.1f}"

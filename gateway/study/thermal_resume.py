@@ -1,4 +1,4 @@
-"""Trials that are done, train by train, in a file: a reproduction that was stopped goes on."""
+"""File of finished trials, train by train, with which a stopped reproduction goes on."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ Row = tuple[str, Score]
 
 
 class Done:
-    """Rows by base and seed; every train that is added is written at once."""
+    """Finished rows by base and seed; every train that is added is written at once."""
 
     def __init__(self, path: Path, program: str, *, resume: bool) -> None:
-        """program: its version; trains of another one are not used. Raises OSError."""
+        """Read finished trains to resume; those of another `program` version are not used.
+
+        Raises OSError.
+        """
         self._path, self._program = path, program
         self._rows: dict[tuple[str, int], list[Row]] = {}
         if resume and path.is_file():
@@ -27,7 +30,7 @@ class Done:
         path.write_text("".join(map(self._as_json, self._rows)), encoding="utf-8")
 
     def _read_line(self, line: str) -> None:
-        """A line; one that is cut, or of another program, is left out."""
+        """Read one line; one that is cut, or from another version of the program, is ignored."""
         try:
             found = json.loads(line)
             rows = [(str(method), Score(*map(float, score))) for method, score in found["rows"]]
@@ -44,11 +47,11 @@ class Done:
         return json.dumps(row) + "\n"
 
     def missing(self, base: str, seeds: Iterable[int]) -> list[int]:
-        """Trains that are still to be run."""
+        """Seeds of the trains that must still be run."""
         return [seed for seed in seeds if (base, seed) not in self._rows]
 
     def add(self, base: str, seed: int, rows: Iterable[Row]) -> None:
-        """Take a train's rows. Raises OSError."""
+        """Add a train's rows. Raises OSError."""
         key = base, seed
         self._rows[key] = list(rows)
         with self._path.open("a", encoding="utf-8") as file:
@@ -57,7 +60,7 @@ class Done:
     def scores(
         self, base: str, seeds: Sequence[int], names: Sequence[str]
     ) -> dict[str, list[Score]]:
-        """By method, in the order of the seeds."""
+        """Scores by method, in the order of the seeds."""
         out: dict[str, list[Score]] = {name: [] for name in names}
         for method, score in self._of(base, seeds):
             out[method].append(score)

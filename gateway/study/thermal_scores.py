@@ -1,8 +1,8 @@
-"""How well a thermal fault was found: per sample against the injection interval, and per fault.
+"""Scores of thermal detection: per sample against the injection interval, and per fault.
 
-Strict: every sample from the fault's begin to its end is faulty. Graced: its onset is left out
-until the true effect passes 2 K, and the recovery after it until the effect is below 1 K; there
-nobody can know. Numbers in, numbers out.
+Strict: every sample from the fault's begin to its end is faulty. Graced: the onset is left out
+until the true effect passes 2 K, and the recovery until it is below 1 K, because no method can
+decide there. Numbers in, numbers out.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Flags = NDArray[np.bool_]
 SHOWN_K: Final = 2.0
 GONE_K: Final = 1.0
 PRINTED_FPR: Final = 0.0275
-"""Paper `thermal`, Table 2: the rate at which every method's misses are compared."""
+"""False positive rate of paper `thermal`, Table 2, at which the methods' misses are compared."""
 DAY_S: Final = 86_400.0
 
 
 class Truth(NamedTuple):
-    """faulty (K,): a fault is injected; effect (K,) K: the largest at any point; loose: in bursts.
+    """Truth of one run: `faulty` (K,): a fault is injected; effect (K,) K: largest at any point.
 
-    motor: -1 for a healthy run; begin: sample; sample_s: spacing.
+    motor: -1 for a healthy run; begin: sample; sample_s: spacing; loose: the fault acts in bursts.
     """
 
     faulty: Flags
@@ -41,14 +41,14 @@ class Truth(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """motor (K,), kind_right (K,): what a method says beside its alarm, where it says it."""
+    """Diagnosis beside the alarm: named motor (K,), and whether the kind is right (K,)."""
 
     motor: NDArray[np.int64]
     kind_right: Flags
 
 
 class Score(NamedTuple):
-    """Shares of samples, but for found (0 or 1), delay_s and episodes (false ones, per day)."""
+    """Shares of samples, except found (0 or 1), delay_s, seconds, false episodes per day."""
 
     accuracy: float
     fpr: float
@@ -74,7 +74,7 @@ def score_alarms(
     diagnosis: Diagnosis | None = None,
     seconds: float = 0.0,
 ) -> Score:
-    """Of one run; NaN of the statistic is no alarm. A share of no samples is NaN."""
+    """Score one run. A NaN of the statistic is no alarm; a share of no samples is NaN."""
     finite = np.where(np.isfinite(statistic), statistic, -np.inf)
     alarm = finite > limit
     faulty = truth.faulty
@@ -105,7 +105,7 @@ def score_alarms(
 
 
 def mean(scores: Iterable[Score]) -> Score:
-    """Mean of every figure over the runs that have it; the delay's median."""
+    """Mean of every figure over the runs that have it; for the delay, the median."""
     rows = np.array(list(scores), dtype=float)
     with np.errstate(all="ignore"):
         means = [_over(rows[:, k], np.mean) for k in range(rows.shape[1])]
@@ -130,13 +130,13 @@ def _share(flags: Flags) -> float:
 
 
 def _best(statistic: Array, faulty: Flags) -> tuple[float, float, float]:
-    """Accuracy, FPR, FNR with the limit that would have been best."""
+    """Accuracy, FPR and FNR with the limit that gives the best accuracy."""
     order = np.argsort(-statistic, kind="stable")
     hits = np.concatenate([[0], np.cumsum(faulty[order])])
     false = np.arange(len(order) + 1) - hits
     ill, well = hits[-1], len(faulty) - hits[-1]
     accuracy = (hits + well - false) / len(faulty)
-    # A limit cannot part equal values.
+    # A limit cannot separate equal values.
     ranked = statistic[order]
     parted = np.concatenate([[True], ranked[1:] < ranked[:-1], [True]])
     k = int(np.argmax(np.where(parted, accuracy, -1.0)))
@@ -148,7 +148,7 @@ def _best(statistic: Array, faulty: Flags) -> tuple[float, float, float]:
 
 
 def _at(statistic: Array, faulty: Flags, fpr: float) -> float:
-    """FNR with the limit that just this share of the healthy samples exceed."""
+    """FNR with the limit that at most the share `fpr` of the healthy samples exceeds."""
     if not faulty.any() or faulty.all():
         return math.nan
     healthy = np.sort(statistic[~faulty])
@@ -196,11 +196,11 @@ def _time(seconds: float) -> str:
 
 
 def table(rows: Iterable[Sequence[str]]) -> str:
-    """Markdown, with the columns of `cells`."""
+    """Markdown table with the columns of `cells`."""
     return table_of(COLUMNS, rows)
 
 
 def table_of(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Markdown."""
+    """Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -1,7 +1,7 @@
 """Thermal methods on labelled trains: simulate, fit on fault-free runs, judge runs with a fault.
 
 One limit rule for all: the 99 % quantile of a method's statistic on a fault-free run that it was
-not fitted on. Both are of the train when it was new; then it ages, and nobody tells the methods.
+not fitted on. Both are runs of the new train; then it ages, and the methods do not know of it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LIMIT: Final = 0.99
 DEVELOPMENT: Final = range(30)
 """Seeds that anything may be tuned on."""
 REPORTING: Final = range(1000, 1024)
-"""Seeds that nobody looks at before reporting."""
+"""Seeds that are not looked at before reporting."""
 FIT_RUNS: Final = {"days": 1, "bench": 4}
 """Fault-free runs to learn from; the next one sets the limit."""
 HEALTHY: Final = "none"
@@ -39,15 +39,15 @@ WORLDS: Final[dict[str, Callable[..., Labelled]]] = {
     "ours": thermal_dataset.train,
     "other": thermal_other.train,
 }
-"""Generators of labelled trains, of unlike structure. The product was tuned on `ours`."""
+"""Generators of labelled trains of different structure. The product was tuned on `ours`."""
 ABLATION: Final[dict[str, dict[str, Any]]] = {
     "paper_raw": {"filtered": False, "degrades": False},
     "paper_ukf": {"mixing": 0.0, "degrades": False},
     "paper_mixed": {"degrades": False},
     "paper_acting": {"mixing": 1.0, "noise": 100.0},
 }
-"""Of the paper's method as printed: readings alone, with the filter, with mixing too; and a reading
-in which the parts act: mixing in full, a filter that follows the readings little."""
+"""Variants of the paper's method as printed: readings alone, with the filter, with mixing too; and
+an interpretation in which the parts act: full mixing, a filter that follows the readings little."""
 METHODS: Final[dict[str, dict[str, Any]]] = {
     base: {
         "model": ModelMethod(),
@@ -59,10 +59,10 @@ METHODS: Final[dict[str, dict[str, Any]]] = {
     }
     for base, window in (("days", 3), ("bench", 60))
 }
-"""By time base: the product's; the paper's as printed (it looks ahead), causal, and with the
-mixture's own mean and centred motors; the paper's rivals. Tuned by `bench.thermal_rivals`."""
+"""Methods by time base: the product's; the paper's as printed (it looks ahead), causal, and with
+the mixture's own mean and centred motors; the paper's rivals. Tuned by `bench.thermal_rivals`."""
 NAMES: Final = tuple(name for name in METHODS["days"] if name not in ABLATION)
-"""Of the methods, on every base."""
+"""Names of the methods, the same on every base."""
 SHOWS: Final = {
     "overheating": ("overheating",),
     "cooling_loss": ("cooling_loss",),
@@ -72,16 +72,16 @@ SHOWS: Final = {
     "intermittent": ("loose_stator", "loose_de", "loose_nde"),
     CREEP: ("bias_stator", "bias_de", "bias_nde"),
 }
-"""Beliefs that name a kind of fault rightly."""
+"""Hypotheses that name a kind of fault correctly."""
 UNDECIDED: Final = "undecided"
-"""Hot motor or sensor: neither is sure."""
+"""Neither a hot motor nor a faulty sensor is certain."""
 CLASS: Final = {
     belief: kind for kind, beliefs in SHOWS.items() if kind != CREEP for belief in beliefs
 }
 
 
 class Runs(NamedTuple):
-    """Of one train: `healthy` to learn from, `limiting` for the limit, `judged` by kind."""
+    """Runs of one train: `healthy` to learn from, `limiting` for the limit, `judged` by kind."""
 
     healthy: list[Record]
     limiting: Record
@@ -96,19 +96,19 @@ class Trial(NamedTuple):
     method: str
     score: Score
     named: dict[str, int]
-    """Samples in the fault's interval and beyond the limit, by the kind of fault that was told.
+    """Number of samples in the fault's interval and beyond the limit, by the kind that was named.
 
-    Empty for methods that name none.
+    Empty for methods that name no kind.
     """
 
 
 def record_of(run: Labelled) -> Record:
-    """What a method may see of a run."""
+    """Part of a run that a method may see."""
     return Record(run.temperature, run.at, run.current_square, run.speed, run.ambient, run.step_s)
 
 
 def truth_of(run: Labelled, base: Base) -> Truth:
-    """What it is judged by."""
+    """Truth by which a run is judged."""
     effect = np.abs(run.effect).max(axis=(1, 2))
     if run.fault is None:
         return Truth(run.faulty, effect, -1, 0, base.sample_s)
@@ -133,7 +133,7 @@ def trials(
 ) -> list[Trial]:
     """All methods on a train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function.
 
-    A method whose library is missing gives nothing (the LSTM needs PyTorch).
+    A method whose library is missing has no trials (the LSTM needs PyTorch).
     """
     at = BASES[base]
     healthy, limiting, runs = runs_of(seed, at, kinds, world)
@@ -151,10 +151,9 @@ def trials(
 
 
 class Shared:
-    """What variants of the paper's method have in common on one train: computed once.
+    """Results that variants of the paper's method share on one train, computed once.
 
-    saved_s: seconds by which filtering has been shortened so far, which a method that ran by itself
-    would take.
+    saved_s: filtering time saved so far, s; a method that ran by itself would need it.
     """
 
     def __init__(self, healthy: Sequence[Record]) -> None:
@@ -172,7 +171,7 @@ class Shared:
         return lumps(self._whole)
 
     def fit(self, method: PaperMethod) -> Callable[[Record], Array]:
-        """As `method.fit` on the fault-free runs, one after another."""
+        """Fit as `method.fit` does, on the joined fault-free runs."""
         states = self._states(method)
         if method.learning not in self._learnt:
             self._learnt[method.learning] = method.learn(self._whole, self._model, states)
@@ -180,7 +179,7 @@ class Shared:
 
     def _states(self, method: PaperMethod) -> Filtering:
         def states(record: Record, known: Lumps, drift: Array | None) -> Estimates:
-            # The record is kept beside what was found of it, so no other array gets its id.
+            # The record is kept with its result, so that no other array can get the same id.
             aged = None if drift is None else drift.tobytes()
             key = method.filtering, method.noise, id(record.temperature), aged
             if key in self._found:
@@ -197,9 +196,9 @@ class Shared:
 def fit(
     method: Any, healthy: Sequence[Record], shared: Shared | None = None
 ) -> Callable[[Record], Array]:
-    """All methods learn from the same runs; those without a model see them one after another.
+    """Fit a method. All learn from the same runs; those without a model get them joined.
 
-    shared: of these runs, for variants of the paper's method.
+    shared: results on these runs, for variants of the paper's method.
     """
     if isinstance(method, ModelMethod) and len(healthy) > 1:
         return method.fit_runs(healthy)
@@ -212,7 +211,7 @@ def fit(
 def judge(
     fitted: Callable[[Record], Array], limit: float, run: Labelled, base: Base, shared: Shared
 ) -> tuple[Score, dict[str, int]]:
-    """Judge one run; the time is that of scoring it, without what others had computed before."""
+    """Judge one run; its time is the scoring time, with the time saved by shared results added."""
     names: dict[str, int] = {}
     record = record_of(run)
     began, saved_s = time.perf_counter(), shared.saved_s
@@ -236,10 +235,10 @@ def judge(
 
 
 def confused(found: Sequence[Trial]) -> tuple[float, float]:
-    """Share of samples with a class whose class is heat where a sensor is off, or the reverse.
+    """Shares of confused and of undecided samples, among those in a fault and beyond the limit.
 
-    And the share of all samples that have no class. Samples: in a fault, beyond the limit; NaN of
-    none.
+    Confused, of the samples with a class: heat is named for a faulty sensor, or the reverse.
+    Undecided, of all: no class. NaN without samples.
     """
     wrong = named = undecided = 0
     for trial in found:
@@ -258,7 +257,7 @@ def evaluate(
     seeds: Sequence[int], base: str, kinds: Sequence[str], methods: Sequence[str], jobs: int = 1,
     world: str = "ours",
 ) -> Iterator[list[Trial]]:  # fmt: skip
-    """Trials seed by seed, in order, in so many processes."""
+    """Yield the trials seed by seed, in order, computed in `jobs` processes."""
     tasks = [(seed, base, tuple(kinds), tuple(methods), world) for seed in seeds]
     if jobs <= 1:
         yield from (trials(*task) for task in tasks)

@@ -1,9 +1,9 @@
-"""Random trains by seed: any motor on any bus, which the other worlds keep constant.
+"""Random trains by seed, with any motor on any bus; the other worlds keep motor and bus constant.
 
-Motors of 0.5 to 500 kW, their nameplates drawn per unit; currents and voltages every 1 to 10 ms;
-signals of a coarse or a fine step; with and without `Motion` and `Status`; 1 to 16 drives. Trains
-without observable losses are not drawn: a single drive has a command, and a train without `Motion`
-turns so slowly that its currents come ten times a revolution.
+Motors of 0.5 to 500 kW, with nameplates drawn per unit; currents and voltages every 1 to 10 ms;
+signals with a coarse or a fine step; with and without `Motion` and `Status`; 1 to 16 drives. Trains
+with unobservable losses are not drawn: a single drive has a command, and a train without `Motion`
+turns so slowly that its currents come at least ten times per revolution.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ from sim.physics.plant import Motor
 STREAM: Final = 41
 POWER_KW: Final = (0.5, 500.0)
 RATED_RAD_S: Final = (250.0, 1000.0)
-"""Electrical speed at which the power is given."""
+"""Rated electrical speed, to which the power refers."""
 POLE_PAIRS: Final = (2, 6)
 RESISTANCE: Final = (0.01, 0.04)
 REACTANCE: Final = (0.15, 0.55)
-"""Per unit, at rated speed."""
+"""Per unit, at rated speed; RESISTANCE is per unit too."""
 SPIN_UP: Final = (70.0, 1000.0)
-"""Rated torque over inertia, rad/s2: with a wheelset, and bare."""
+"""Rated torque over inertia, rad/s2: from a motor with its wheelset to a bare one."""
 PHASE_V: Final = (60.0, 0.4)
-"""Phase voltage of a motor of 0.5 kW, and the power of its own with which that grows."""
+"""Phase voltage of a motor of 0.5 kW, V, and the exponent with which it grows with the power."""
 LINK: Final = 1.15
-"""Of the voltage that 1.5 times the rated torque takes at rated speed."""
+"""DC-link voltage over the line voltage that 1.5 times the rated torque takes at rated speed."""
 CYCLES_MS: Final = (1, 2, 4, 5, 10)
 STEP: Final = (1e-4, 5e-3)
 """Step of a signal, over the rated value."""
 ABSENT: Final = 0.3
-"""Of trains, without `Motion`; as many without `Status`."""
+"""Share of trains without `Motion`, and of those without `Status`."""
 DRIVES: Final = 16
 SLOWEST_RAD_S: Final = 40.0
 FASTEST: Final = 0.7
-"""Over the rated speed."""
+"""Highest speed, over the rated speed."""
 SAMPLES: Final = 10
-"""A revolution, without `Motion`."""
+"""Fewest samples per electrical revolution, without `Motion`."""
 _RAW: Final = 32000
 
 
 class Variation(NamedTuple):
-    """One train. step: of its signals, over rated values; motion, status: these messages come."""
+    """One train. step: of its signals, over rated values; motion, status: these are sent."""
 
     motor: Motor
     drives: int
@@ -68,7 +68,7 @@ class Variation(NamedTuple):
         return Codec(codec.path, (self._spec(spec) for spec in codec.messages))
 
     def received(self, block: Block, codec: Codec) -> Block:
-        """What of a block is on the bus."""
+        """Frames of a block that are on the bus."""
         absent = {"Motion": not self.motion, "Status": not self.status}
         gone = [spec.can_id for spec in codec.messages if absent.get(spec.kind)]
         return block.pick(~np.isin(block.can_id, gone))
@@ -104,12 +104,12 @@ def variation(seed: int) -> Variation:
 
 
 def _spread(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    """Uniform in its logarithm."""
+    """Draw with a uniform logarithm."""
     return float(np.exp(rng.uniform(*np.log(limits))))
 
 
 def _motor(rng: np.random.Generator, rated_rad_s: float) -> Motor:
-    """A motor of this rated electrical speed; `U_dc` holds 1.5 times its torque there."""
+    """Draw a motor of this rated electrical speed; `U_dc` allows 1.5 times its torque there."""
     watts = 1e3 * _spread(rng, POWER_KW)
     poles = int(rng.integers(*POLE_PAIRS, endpoint=True))
     torque = watts * poles / rated_rad_s

@@ -1,4 +1,4 @@
-"""The worlds that detectors of adhesion are judged in: one row each, by name.
+"""The worlds in which detectors of adhesion are judged, by name.
 
 Detectors are tuned on `ours` alone. `ours_held` has the kinds of `held` on the machines of `ours`.
 """
@@ -19,8 +19,8 @@ from sim.simulation import Simulation
 class Family(NamedTuple):
     """Runs of one kind.
 
-    common: all drives lose adhesion together; motor: None for any; varied: motor and bus are those
-    of `varied_trains`.
+    common: all drives lose adhesion together; motor: None for any; commands: `Status` is on the
+    bus; varied: motor and bus are those of `varied_trains`.
     """
 
     common: bool = False
@@ -29,15 +29,15 @@ class Family(NamedTuple):
     varied: bool = False
 
     def received(self, block: Block) -> Block:
-        """What of a block is on the bus, but for what varies."""
+        """Frames of a block that are on the bus; `Variation.received` removes more if `varied`."""
         return block if self.commands else without_status(block)
 
 
 class World(NamedTuple):
-    """Where runs come from.
+    """Source of runs.
 
-    usual: families that are evaluated unless others are named; draw: a family's run of a seed for
-    a motor; simulate: the machines of a family's run.
+    usual: families that are evaluated unless others are named; draw: return a family's run for a
+    seed and a motor; simulate: return the simulation of a family's run.
     """
 
     families: Mapping[str, Family]
