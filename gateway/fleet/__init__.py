@@ -1,1 +1,1 @@
-"""Many recordings at once."""
+"""Replay of many recordings at once."""

@@ -1,7 +1,8 @@
 """Runs the logs of a fleet on Dask: local processes, or an existing scheduler.
 
-Who reaches a scheduler runs code as its user. Local ones speak TLS with a certificate that is made
-for this run and kept in memory; a named one is reached as Dask's own configuration says.
+Whoever can connect to a scheduler can run code as its user. Local processes use TLS with a
+certificate made for this run and kept in memory; a named scheduler is reached as Dask's own
+configuration says.
 """
 
 from __future__ import annotations
@@ -25,24 +26,23 @@ from gateway.fleet.task import Work, bad, ready
 from gateway.settings.config import ConfigError
 
 ALLOWED_DEATHS: Final = 1
-"""Workers that may die at a log before it is suspected; then it gets its turn alone."""
+"""Workers that may die at a log before it is suspected and tried again alone."""
 RETRIES: Final = 2
-"""Of a task that raises: ours give a bad row, so it was Dask that failed."""
+"""Retries of a task that raises: ours return a bad row, so it was Dask that failed."""
 DIED: Final = "every worker that tried this log died"
 STARTS: Final = 6
-"""Times that local processes are started, if they do not come up."""
+"""Attempts to start the local processes."""
 CHECK_S: Final = 1.0
-"""Between two looks whether all local processes are there."""
+"""Time between two checks whether all local processes are running."""
 ALONE: Final = 2
-"""Times that a suspected log gets its turn alone: what kills workers may have been something else.
-"""
+"""Times that a suspected log is tried alone, as something else may have killed the workers."""
 SECURE: Final = ("tls://", "wss://", "inproc://")
 CERTIFICATE: Final = (
     "needs certificates: name them in Dask's configuration, `distributed.comm.tls.ca-file` and "
     "`distributed.comm.tls.client.cert`, `.key` (variables DASK_DISTRIBUTED__COMM__TLS__CA_FILE ..)"
 )
 PATIENCE_S: Final = 30
-"""To reach a scheduler and see a worker of it."""
+"""Longest time, each, to connect to a scheduler and to wait for a worker."""
 _THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _LOCAL: Final = {
     "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
@@ -52,10 +52,10 @@ _LOCAL: Final = {
     "distributed.nanny.pre-spawn-environ": dict.fromkeys(_THREADS, 1),
     "distributed.deploy.lost-worker-timeout": "365 days",
 }
-"""For local processes: one thread each, no pages to look at, nobody who samples the stack.
+"""Local processes: one thread each, no status pages, no sampling of the stack.
 
-Nor is one given up that is not there 15 s (Dask's default) after it died: it may have started
-again and died once more.
+A process that has been missing for 15 s (Dask's default) is not given up either: it may have been
+restarted and have died once more.
 """
 
 log = logging.getLogger(__name__)
@@ -63,10 +63,10 @@ After = Callable[[Job, Row], None]
 
 
 def _local(jobs: int, level: int) -> LocalCluster:
-    """Local processes. One that is killed while it starts is no reason to give up."""
+    """Start local processes, again if one is killed while it starts. Raises OSError in the end."""
     for left in reversed(range(STARTS)):
         try:
-            # No limit of memory: a replay's does not grow with its log.
+            # No memory limit: a replay's memory does not grow with its log.
             return LocalCluster(
                 n_workers=jobs, threads_per_worker=1, processes=True, memory_limit=None,
                 dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
@@ -80,10 +80,10 @@ def _local(jobs: int, level: int) -> LocalCluster:
 
 
 def _keep(cluster: LocalCluster, jobs: int) -> None:
-    """As long as the cluster runs, start local processes again that Dask has given up.
+    """While the cluster runs, restart local processes that Dask has given up.
 
-    Dask starts a process that died again, but gives it up if the start fails. Without any process
-    the logs that are left would wait for ever.
+    Dask restarts a process that has died, but gives it up if the restart fails. Without any process
+    the remaining logs would wait for ever.
     """
     if cluster.status != Status.running:
         return
@@ -99,10 +99,10 @@ def _keep(cluster: LocalCluster, jobs: int) -> None:
 def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     """A client of local processes with a thread each, or of the named scheduler.
 
-    Raises ConfigError for an address or certificate that cannot be used, OSError where nobody
-    answers.
+    Raises ConfigError for an address or certificate that cannot be used, OSError if no scheduler or
+    worker answers.
     """
-    # What becomes of each log is said by us; `-v` shows what Dask says itself.
+    # The fleet reports the result of each log itself; `-v` shows Dask's own messages.
     level = logging.INFO if log.isEnabledFor(logging.INFO) else logging.CRITICAL
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(level)
@@ -116,7 +116,7 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
         if not scheduler.startswith(SECURE):
             log.warning("%s: not encrypted; whoever reaches it can run code there", scheduler)
         if scheduler.startswith("tls://") and not _has_certificate():
-            # A `Client` that fails in its making waits for itself for ever when it is collected.
+            # A `Client` whose construction fails waits for itself for ever when it is collected.
             raise ConfigError("--scheduler", [f"{scheduler}: {CERTIFICATE}"])
         try:
             client = stack.enter_context(Client(scheduler, timeout=PATIENCE_S))
@@ -133,7 +133,7 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
 
 
 def _has_certificate() -> bool:
-    """Whether Dask's configuration names one. Raises OSError for files that cannot be used."""
+    """Whether Dask's configuration names a certificate. Raises OSError for unusable files."""
     return Security().get_connection_args("client").get("ssl_context") is not None
 
 
@@ -145,11 +145,11 @@ def send(
     work: Work,
     after: After,
 ) -> None:
-    """Do all of `todo`, a task each; see `gateway.fleet.run.run`.
+    """Run all of `todo`, one task per log; see `gateway.fleet.run.run`.
 
-    A worker takes one log at a time, so that one that dies takes no other log with it. Where
-    workers kept dying, the logs they were at are tried again, one by one, after all others: a log
-    at which workers die `ALONE` times more is a bad one.
+    A worker takes one log at a time, so that its death affects no other log. Logs at which workers
+    kept dying are tried again, one by one, after all others; a log at which workers also die in
+    these `ALONE` turns gets a bad row.
     """
     suspects: list[Job] = []
 
@@ -164,7 +164,7 @@ def send(
             _prepare(client, settings)
             _flow(client, todo, settings, work, 0, ended)
             for turn in range(1, ALONE + 1):
-                # A row is lost with the worker that has it, although the log's file may be there.
+                # A row is lost with the worker that holds it, although the file may be written.
                 found = {one: done_before(one, settings) for one in suspects}
                 for one, row in found.items():
                     if row is not None:
@@ -181,7 +181,7 @@ def send(
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """True for what Dask says when it is interrupted while it starts or ends."""
+    """Whether an error comes from an interrupt, also one while Dask starts or ends."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True
@@ -190,8 +190,8 @@ def _interrupted(error: BaseException | None) -> bool:
 
 
 def _prepare(client: Client, settings: Settings) -> None:
-    """Get all workers ready at once; ConfigError with what is wrong with any of them."""
-    # Of a worker that dies meanwhile there is an error: the next one gets ready at its first log.
+    """Prepare all workers at once. Raises ConfigError with the problems of any of them."""
+    # A worker that dies meanwhile gives an error; its successor is prepared by its first log.
     results: dict[str, object] = client.run(ready, settings, on_error="return")
     problems = [text for text in results.values() if isinstance(text, str) and text]
     if problems:
@@ -206,7 +206,7 @@ def _flow(
     turn: int,
     ended: Callable[[Job, Row | BaseException], None],
 ) -> None:
-    """Keep as many tasks going as there are threads, in a later `turn` one, until all ended."""
+    """Run as many tasks at once as there are threads, in a later `turn` one, until all ended."""
     waiting = deque(todo)
     going: dict[str, Job] = {}
     tasks = as_completed([])
@@ -228,7 +228,7 @@ def _flow(
         except CancelledError:
             msg = "the scheduler is gone; what is finished stays, run again to go on"
             raise OSError(msg) from None
-        except Exception as error:  # ours give a bad row: whatever is raised is Dask's
+        except Exception as error:  # our tasks return a bad row, so this error is Dask's
             outcome = error
         task.release()
         ended(one, outcome)

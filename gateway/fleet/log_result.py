@@ -1,7 +1,7 @@
-"""One log of a fleet: its estimates as a Parquet file, and what is counted along the way.
+"""One log of a fleet: its estimates as a Parquet file.
 
-A row per drive every 100 ms, and one more in the tick in which a flag of that drive changes.
-Missing is null. The file gets its name only when it is whole.
+There is a row per drive every 100 ms, and one more in a tick in which a flag of that drive changes.
+A missing value is null. The file gets its name only when it is complete.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _WORDS: Final[dict[str, list[str]]] = {
     "fault_class": _words(FaultClass),
     "fault_sensor": _words(FaultSensor),
 }
-"""Column -> its words in the order of their numbers. The first five are a drive's flags."""
+"""Column -> its words in the order of their codes. The first five columns are a drive's flags."""
 _FLAGS: Final = 5
 _ORDER: Final = [FlagKind[name.upper()] for name in tuple(_WORDS)[:_FLAGS]]
 _NUMBERS: Final = (
@@ -56,11 +56,11 @@ _NUMBERS: Final = (
     "degradation_k_h", "degradation_sigma_k_h", "hours_to_limit",
 )  # fmt: skip
 PEAK: Final = "loss_probability_peak"
-"""Largest since the row before of the same drive, at any tick."""
+"""Largest loss probability at any tick since the drive's previous row."""
 
 
 def schema(metadata: dict[str, str]) -> pa.Schema:
-    """Columns of a log's table, with whatever is to be said about the log."""
+    """Columns of a log's table, with metadata about the log."""
     fields = [("t_ns", pa.int64()), ("drive", pa.int8())]
     fields += [(name, pa.dictionary(pa.int8(), pa.string())) for name in _WORDS]
     fields += [(name, pa.float64()) for name in (*_NUMBERS, PEAK)]
@@ -70,17 +70,17 @@ def schema(metadata: dict[str, str]) -> pa.Schema:
 class Estimates(AbstractContextManager["Estimates"]):
     """Takes ticks as `replay.Samples`; `finish` gives the file its name. Context manager.
 
-    Left without `finish`, nothing remains. Raises OSError where the folder cannot be written.
+    Without `finish` no file remains. Raises OSError if the folder cannot be written.
     """
 
     def __init__(self, path: Path, nodes: Sequence[int]) -> None:
-        """path: the unfinished file is made beside it; its folder must be there."""
+        """path: the unfinished file is made beside it; its folder must exist."""
         self.rows = 0
         self.next_ns: Nanos = NEVER
-        """Every drive has a row in the first tick at or after it."""
+        """Every drive has a row in the first tick at or after this time."""
         self.last_ns: Nanos = NEVER
-        """The last tick."""
-        # Two processes may be at one log for a while: one that was taken for dead goes on.
+        """Time of the last tick."""
+        # Two processes may work on one log for a while, if one that was given up still runs.
         self._part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{PART}")
         self._writer = pq.ParquetWriter(self._part, schema({}), compression="zstd")
         n = len(nodes)
@@ -95,7 +95,7 @@ class Estimates(AbstractContextManager["Estimates"]):
         self._mine = np.zeros((ticks, n), dtype=np.bool_)
 
     def __exit__(self, *error: object) -> None:
-        """Take away what is not finished."""
+        """Remove the file if it is unfinished."""
         self._writer.close()
         self._part.unlink(missing_ok=True)
 
@@ -112,7 +112,7 @@ class Estimates(AbstractContextManager["Estimates"]):
             self._store(now, gateway, due=due)
 
     def _store(self, now: Nanos, gateway: Gateway, *, due: bool) -> None:
-        """The rows of a tick: of every drive, or of those of which a flag changed."""
+        """Store the rows of a tick: of every drive if due, else of those whose flags changed."""
         drives, at = gateway.status.drives, self._at
         flags = drives["flag"]["state"].T[_ORDER]
         mine = np.ones(len(self._nodes), np.bool_) if due else (flags != self._flags).any(axis=0)
@@ -123,7 +123,7 @@ class Estimates(AbstractContextManager["Estimates"]):
             np.where(why, why, warm_why), drives["health"], drives["fault_class"],
             drives["fault_sensor"],
         )  # fmt: skip
-        # None is NaN here.
+        # As float64, None becomes NaN.
         wear = np.array([each[:3] for each in gateway.thermal.wear], dtype=np.float64)
         numbers[:-4] = (
             drives["speed_rad_s"], drives["load_nm"], drives["load_sigma_nm"],
@@ -150,7 +150,7 @@ class Estimates(AbstractContextManager["Estimates"]):
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=schema({})))
 
     def finish(self, path: Path, metadata: dict[str, str]) -> None:
-        """Write what is left and what is said about the log, then rename. Raises OSError."""
+        """Write the remaining rows and the metadata, then rename the file. Raises OSError."""
         self._flush()
         self._writer.add_key_value_metadata(metadata)
         self._writer.close()
@@ -159,9 +159,9 @@ class Estimates(AbstractContextManager["Estimates"]):
 
 
 def _arrow(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
-    """(R,) numbers as Arrow has them; NaN, a diverged estimate's too, is null: it is not known.
+    """(R,) numbers as an Arrow array; NaN (not known, or of a diverged estimate) becomes null.
 
-    By hand: `pyarrow.array` imports pandas, half a second of every worker's start.
+    Built from buffers, because `pyarrow.array` imports pandas: half a second per worker start.
     """
     known = values == values  # noqa: PLR0124 NaN alone is unlike itself
     bits = None if known.all() else pa.py_buffer(np.packbits(known, bitorder="little"))
@@ -169,7 +169,7 @@ def _arrow(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
 
 
 def _text(words: Sequence[str]) -> pa.Array:
-    """Words as Arrow has them, see `_arrow`."""
+    """Words as an Arrow array, see `_arrow`."""
     data = [word.encode() for word in words]
     ends = np.cumsum([0, *map(len, data)], dtype=np.int32)
     return pa.Array.from_buffers(

@@ -1,4 +1,4 @@
-"""Which logs a fleet has, which are done, and whether a log has changed since."""
+"""The logs of a fleet, which of them are done, and whether a log has changed since."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from gateway.io.whole_file import PART
 from gateway.settings.config import Config, ConfigError
 
 FOLDER: Final = "estimates"
-"""Of the logs' files, below the one that was named."""
+"""Folder of the logs' result files, in the folder for results."""
 KEYS: Final = ("day", "train")
-"""By which the files can be parted: UTC day of the first frame, name of the folder of the log."""
+"""Keys to partition the files by: UTC day of the first frame, name of the log's folder."""
 _EDGE: Final = 1 << 20
 _STEM: Final = 60
 
 
 class Settings(NamedTuple):
-    """What is the same for all logs. key: hash of everything that a result depends on but the log.
+    """Settings common to all logs. key: hash of all that a result depends on, except the log.
 
-    folder: where results go, absolute; everything here is sent to other processes. parts: of
-    `KEYS`, folders between `estimates` and a log's file.
+    folder: for results, absolute, as other processes get these settings. parts: those of `KEYS`
+    that give folders between `estimates` and a log's file.
     """
 
     config: Config
@@ -42,7 +42,7 @@ class Settings(NamedTuple):
 
 
 class Job(NamedTuple):
-    """One log to be done: absolute path or URL, and the name of its file."""
+    """One log to be replayed: its absolute path or URL, and the name of its result file."""
 
     path: Path
     name: str
@@ -51,12 +51,12 @@ class Job(NamedTuple):
 def settings_for(
     config: Config, log_channel: str | None, folder: Path, parts: tuple[str, ...] = ()
 ) -> Settings:
-    """Files that are not there are found out by who needs them: `gateway.fleet.run.ready`."""
+    """Make the settings. A missing file is no error here: `gateway.fleet.task.ready` reports it."""
     digest = hashlib.sha256(config.model_dump_json().encode())
     for path in (config.dbc_path, config.calibration_path):
         digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b""))
     digest.update(b"\0" + "\0".join((log_channel or "", *parts)).encode())
-    # The working folder of another process may be another one.
+    # Absolute, because the working folder of another process may be a different one.
     absolute = config.model_copy(update={"base": config.base.absolute()})
     key = digest.hexdigest()[:16]
     here = version("traction-gateway")
@@ -64,11 +64,11 @@ def settings_for(
 
 
 def find(patterns: Sequence[str], folder: Path) -> list[Path]:
-    """Files that the patterns name, absolute, sorted, each once; a folder is all that is below it.
+    """Files that match the patterns, absolute, sorted, each once; a folder means all files in it.
 
-    `**` goes through folders; hidden files and what a fleet has left in `folder` are passed over.
-    A name without `*?[` that is not there is kept: it will be said so. URLs come last. Raises
-    ConfigError if not one file is found, OSError where a storage does not answer.
+    `**` matches folders at any depth; hidden files and a fleet's own results in `folder` are
+    skipped. A name without `*?[` that does not exist is kept, and reported later. URLs come last.
+    Raises ConfigError if no file is found, OSError if a storage does not answer.
     """
     found: dict[str, Path] = {}
     urls: dict[str, Path] = {}
@@ -92,7 +92,7 @@ def _matches(pattern: str) -> list[Path]:
     if Path(pattern).name != "**":
         folders = [name for name in names if Path(name).is_dir()]
         names += [name for folder in folders for name in _glob(f"{glob.escape(folder)}/**")]
-    # Not resolved: a person knows the log by the name that was given.
+    # Links are not resolved: users know the log by the name that they gave.
     return [
         Path(os.path.abspath(name))  # noqa: PTH100
         for name in names
@@ -111,19 +111,19 @@ def _ours(path: Path, folder: Path) -> bool:
 
 
 def job(path: Path) -> Job:
-    """The job of an absolute path. Its file's name is that of no other path."""
+    """The job of an absolute path, with a file name that no other path has."""
     stem = re.sub(r"[^A-Za-z0-9._-]", "_", path.name.removesuffix(".gz")).rpartition(".")
     short = hashlib.sha256(os.fsencode(str(path))).hexdigest()[:10]
     return Job(path, f"{(stem[0] or stem[2])[:_STEM]}-{short}.parquet")
 
 
 def shown(path: Path) -> str:
-    """The path as text that every table takes, whatever its bytes."""
+    """The path as valid UTF-8 text; bytes that are not are escaped."""
     return os.fsencode(str(path)).decode("utf-8", "backslashreplace")
 
 
 def file_of(one: Job, settings: Settings, first_ns: int) -> str:
-    """The log's file below the folder, with a folder `key=value` for each of `settings.parts`."""
+    """Path of a log's file in the results, with a folder `key=value` per `settings.parts`."""
     day = datetime.fromtimestamp(first_ns // 10**9, UTC).date().isoformat()
     train = shown(one.path.parent).rstrip("/").rpartition("/")[2]
     values = {"day": day, "train": quote(train, safe="") or "none"}
@@ -131,7 +131,7 @@ def file_of(one: Job, settings: Settings, first_ns: int) -> str:
 
 
 def files_in(folder: Path, name: str = "*.parquet") -> dict[str, list[Path]]:
-    """The finished files below `estimates`, by name, wherever they are parted into."""
+    """The finished files below `estimates`, by name, in whatever partition."""
     found: dict[str, list[Path]] = {}
     for path in sorted((storage.fresh(folder) / FOLDER).rglob(name), key=str):
         if not path.name.startswith("."):
@@ -140,9 +140,9 @@ def files_in(folder: Path, name: str = "*.parquet") -> dict[str, list[Path]]:
 
 
 def fingerprint(path: Path, settings: Settings) -> dict[str, str]:
-    """What a result rests on: the log's size, time and ends, and the settings. Raises OSError.
+    """What a result depends on: the log's size, time and ends, and the settings. Raises OSError.
 
-    Of a URL's log the hash that its storage keeps (ETag) stands for the ends.
+    For a log by URL, the hash that its storage keeps (ETag) replaces the hash of the ends.
     """
     rest = {"settings": settings.key, "version": settings.version}
     if storage.remote(path) is not None:
@@ -159,7 +159,7 @@ def fingerprint(path: Path, settings: Settings) -> dict[str, str]:
 def done_before(one: Job, settings: Settings, places: Sequence[Path] | None = None) -> Row | None:
     """The row of a log that is done and has not changed since, else None.
 
-    places: its files, if they are known.
+    places: its result files, if they are known.
     """
     places = _places(one, settings) if places is None else places
     if len(places) != 1:
@@ -173,20 +173,20 @@ def done_before(one: Job, settings: Settings, places: Sequence[Path] | None = No
 
 
 def remove_files(one: Job, settings: Settings) -> None:
-    """Take away what a log has left, wherever it is parted into."""
+    """Remove a log's result files, in whatever partition."""
     for path in _places(one, settings):
         path.unlink(missing_ok=True)
 
 
 def _places(one: Job, settings: Settings) -> list[Path]:
-    """Where the log's file may be."""
+    """Paths at which the log's result file may be."""
     if not settings.parts:
         return [storage.fresh(settings.folder) / FOLDER / one.name]
     return files_in(settings.folder, one.name).get(one.name, [])
 
 
 def remove_parts(jobs: Iterable[Job], folder: Path) -> None:
-    """Take away what killed workers have left of these logs."""
+    """Remove unfinished files of these logs that killed workers have left."""
     names = {one.name for one in jobs}
     if storage.remote(folder) is not None:
         return

@@ -1,7 +1,7 @@
-"""A fleet of logs: the core of `replay` over each of them, in many processes.
+"""A fleet of logs: the core of `replay` runs over each of them, in many processes.
 
-Every log is a task of its own that leaves one file, and the file says what it rests on; nothing
-else is remembered. Whatever is killed loses the logs it was at, and they are done again.
+Every log is a task of its own that writes one file, which records what its contents depend on; no
+other state is kept. A killed process loses the logs it was working on, and they are done again.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class Plan(NamedTuple):
 
 
 def plan(paths: Sequence[Path], settings: Settings, *, force: bool) -> Plan:
-    """Which logs are to be done; `force`: all of them, what they have left is taken away.
+    """Find the logs to be done; `force`: all of them, and their result files are removed.
 
-    Makes the folder. Raises OSError.
+    Makes the folder for results. Raises OSError.
     """
     far = storage.remote(settings.folder) is not None
     if not far:
@@ -44,7 +44,10 @@ def plan(paths: Sequence[Path], settings: Settings, *, force: bool) -> Plan:
     jobs = [job(path) for path in paths]
 
     def look(one: Job) -> Row | None:
-        """A log that is done again may come to another place: its first frame has another day."""
+        """The row, if done; else remove files that a new run may put in another partition.
+
+        The partition changes if the first frame now has another day.
+        """
         places = files.get(one.name, [])
         row = None if force else done_before(one, settings, places)
         for path in places if row is None else ():
@@ -66,11 +69,11 @@ def run(
     after: Callable[[Job, Row], None],
     work: Work = one_log,
 ) -> None:
-    """Do what is to be done; `after` hears of every log as it ends, in any order.
+    """Run the jobs to be done; `after` is called with every log as it ends, in any order.
 
-    jobs: local processes, unless `scheduler` names where to send the work. Raises ConfigError where
-    a worker cannot work with the settings, OSError where no scheduler answers or it goes away; what
-    has ended by then stays done.
+    jobs: number of local processes, unless `scheduler` gives an address. Raises ConfigError if a
+    worker cannot use the settings, OSError if no scheduler answers or it goes away; logs that have
+    ended by then stay done.
     """
     if not planned.todo:
         return

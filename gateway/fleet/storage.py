@@ -1,6 +1,6 @@
-"""Logs and results by URL (`s3://bucket/logs`), beside local paths: all that fsspec reaches.
+"""Logs and results by URL (`s3://bucket/logs`) beside local paths: any storage of fsspec.
 
-A URL is a `UPath`, which has a `Path`'s methods. It is imported for a name with "://" only.
+A URL becomes a `UPath`, which has a `Path`'s methods. It is imported for names with "://" only.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ R = TypeVar("R")
 
 
 def is_url(name: str) -> bool:
-    """True for `s3://..` and the like."""
+    """Whether a name is a URL such as `s3://..`."""
     return _SIGN in name
 
 
 def place(name: str) -> Path:
-    """A path, or a URL with a path's methods. Raises ConfigError without a library for it."""
+    """A path, or a URL with a path's methods. Raises ConfigError if it needs a missing library."""
     if not is_url(name):
         return Path(name)
     need(("upath", "s3fs") if name.startswith("s3:") else ("upath",), "s3", name)
@@ -41,19 +41,19 @@ def place(name: str) -> Path:
 
 
 def remote(path: Path) -> Any:
-    """The file system of a URL, as fsspec has it; None for a local path."""
+    """The fsspec file system of a URL; None for a local path."""
     return getattr(path, "fs", None)
 
 
 def fresh(path: Path) -> Path:
-    """The same path; what was remembered of its URL's folders is forgotten: others write there."""
+    """Return the path after clearing the cached listings of a URL, as others write there too."""
     if remote(path) is not None:
         remote(path).invalidate_cache()
     return path
 
 
 def matches(url: str) -> list[Path]:
-    """Files that a URL names, `**` and folders as in a local pattern. Raises OSError."""
+    """Files that match a URL; `**` and folders work as in a local pattern. Raises OSError."""
     root = fresh(place(url))
     fs, key = remote(root), str(getattr(root, "path"))  # noqa: B009 mypy knows a Path only
     try:
@@ -61,7 +61,7 @@ def matches(url: str) -> list[Path]:
         names = [name for name, info in found.items() if info["type"] == "file"]
         if not found:
             names = fs.find(key)
-    except Exception as error:  # each storage has errors of its own: no key, no network, no bucket
+    except Exception as error:  # each storage has its own errors: no key, no network, no bucket
         msg = f"{url}: {type(error).__name__}: {error}"
         raise OSError(msg) from error
     paths = [place(fs.unstrip_protocol(name)) for name in names]
@@ -70,9 +70,9 @@ def matches(url: str) -> list[Path]:
 
 
 def state(path: Path) -> dict[str, str]:
-    """Size, time and hash of a URL's object, as its storage has them. Raises OSError.
+    """Size, time and hash of a URL's object, as its storage reports them. Raises OSError.
 
-    The time in whole seconds: a list and a single look at S3 differ below.
+    The time is in whole seconds: a listing and a query of one object on S3 differ in the fraction.
     """
     fs, key = remote(path), getattr(path, "path")  # noqa: B009 mypy knows a Path only
     info = fs.info(key)
@@ -88,7 +88,7 @@ def state(path: Path) -> dict[str, str]:
 def fetched(path: Path) -> Iterator[Path]:
     """A local copy of a URL's file, or the local file itself. Raises OSError.
 
-    What is raised inside names the URL, not the copy.
+    The message of an error raised inside the `with` names the URL, not the copy.
     """
     if remote(path) is None:
         yield path
@@ -105,9 +105,9 @@ def fetched(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def writable(folder: Path) -> Iterator[Path]:
-    """A local folder whose files are put to a URL at the end, or the local folder itself.
+    """A local folder whose files are uploaded to a URL at the end, or the local folder itself.
 
-    A file is put whole: S3 shows it when its last byte is there. After an exception none is put.
+    A file appears on S3 only when its last byte is there. After an exception none is uploaded.
     Raises OSError.
     """
     if remote(folder) is None:
@@ -121,7 +121,7 @@ def writable(folder: Path) -> Iterator[Path]:
 
 
 def each(function: Callable[[T], R], items: Sequence[T], *, slow: bool) -> list[R]:
-    """The function of each; slow: in threads, because a storage takes some ms to answer."""
+    """Apply the function to each; slow: in threads, because a storage takes some ms to answer."""
     if not slow:
         return [function(item) for item in items]
     with ThreadPoolExecutor(THREADS) as pool:
@@ -129,10 +129,10 @@ def each(function: Callable[[T], R], items: Sequence[T], *, slow: bool) -> list[
 
 
 def _scratch() -> str | None:
-    """Dask's folder of this worker: Dask takes away what killed workers left in theirs."""
+    """Dask's folder of this worker, as Dask removes the folders of killed workers; else None."""
     from distributed import get_worker
 
     try:
         return str(get_worker().local_directory)
-    except ValueError:  # in no worker
+    except ValueError:  # not in a worker
         return None

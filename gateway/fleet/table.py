@@ -1,4 +1,4 @@
-"""The table of a fleet: one row per log, `fleet.parquet`, and `fleet.csv` for people."""
+"""The table of a fleet, one row per log: `fleet.parquet`, and `fleet.csv` for people."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _SUMS: Final = (*STATES.values(), *RAISED.values())
 
 
 class Row(NamedTuple):
-    """What is said of one log. None: not known, which for a bad log is nearly everything.
+    """Results of one log. None: not known, which for a bad log holds for nearly every field.
 
-    file: of the estimates, beside the table; warning: what was wrong with a log that counts;
-    took_s: that its replay took; counts: `received`, `lost` and why frames were not used, as
-    `replay` prints them; drives: per drive, seconds in each state of its flags and how often each
-    was raised.
+    file: path of the estimates, relative to the table; warning: faults of a log that was done all
+    the same; took_s: time of its replay; counts: `received`, `lost` and frames not used by cause,
+    as `replay` prints them; drives: per drive, seconds in each state of its flags and the number of
+    times each was raised.
     """
 
     path: str
@@ -55,17 +55,17 @@ class Row(NamedTuple):
     drives: Sequence[Mapping[str, float | int]] = ()
 
     def to_json(self) -> str:
-        """One line, from which `of_json` makes the same row."""
+        """One line of JSON, which `of_json` reads."""
         return json.dumps(self._asdict())
 
     @classmethod
     def of_json(cls, text: str) -> Row:
-        """Raises ValueError, TypeError for what `to_json` has not written."""
+        """Read a row. Raises ValueError or TypeError for text that `to_json` has not written."""
         return cls(**json.loads(text))
 
     @property
     def duration_s(self) -> float | None:
-        """First to last frame, s."""
+        """Time from first to last frame, s."""
         if self.first_ns is None or self.last_ns is None:
             return None
         return (self.last_ns - self.first_ns) / 1e9
@@ -78,16 +78,16 @@ class Row(NamedTuple):
         return warning(dropped, (self.frames or 0) - back)
 
     def total(self, name: str) -> float | int:
-        """Of one of the drives' numbers, over all drives."""
+        """Sum of one of the drives' numbers over all drives."""
         return sum(drive[name] for drive in self.drives)
 
 
 def per_drive(
     changes: Iterable[tuple[int, int, str, str]], nodes: Sequence[int], end_ns: int
 ) -> list[dict[str, float | int]]:
-    """Seconds in each state and times raised, for every drive, from `Recorder.changes`.
+    """Seconds in each state and number of times raised, per drive, from `Changes.changes`.
 
-    end_ns: the last tick; a state holds until the next change or until then.
+    end_ns: time of the last tick; a state holds until the next change or until then.
     """
     spent = {node: dict.fromkeys(STATES.values(), 0) for node in nodes}
     raised = {node: dict.fromkeys(RAISED.values(), 0) for node in nodes}
@@ -112,7 +112,7 @@ def per_drive(
 
 
 def flat(row: Row) -> dict[str, Any]:
-    """A row as the columns of the tables, without `drives`: sums over the drives stand for them."""
+    """A row as columns of the tables, with sums over the drives in place of `drives`."""
     counts = row.counts
     causes = {name: _count(counts, name.removeprefix("rejected_")) for name in CAUSES}
     done = row.status == DONE
@@ -142,7 +142,7 @@ def _type(name: str) -> Any:
 
 
 def write_table(folder: Path, rows: Sequence[Row], metadata: dict[str, str]) -> list[Path]:
-    """Write both tables; each gets its name when it is whole. Raises OSError."""
+    """Write both tables; each gets its name when it is complete. Raises OSError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -164,7 +164,7 @@ def write_table(folder: Path, rows: Sequence[Row], metadata: dict[str, str]) -> 
 
 
 def metadata_of(path: Path) -> dict[str, str]:
-    """What a log's file says about it; empty where there is none or none that can be read."""
+    """Metadata in a log's result file; empty if there is no file or it cannot be read."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -1,6 +1,6 @@
-"""One log as a task, which always gives a row, also after an error.
+"""One log as a task, which always returns a row, also after an error.
 
-What computes is imported in the workers only: the others need not wait for it.
+The modules that compute are imported in the workers only, so that other processes start faster.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ ERROR_LENGTH = 500
 
 
 def ready(settings: Settings) -> str:
-    """Make this process ready to work; says what is wrong with the settings, or nothing."""
+    """Prepare this process for work; return the problem of the settings, empty if none."""
     from gateway.fleet.work import prepare
 
     return prepare(settings)
 
 
 def one_log(one: Job, settings: Settings) -> Row:
-    """Replay a log, leave its file, give its row; a log that cannot be done is a bad row.
+    """Replay a log, write its file, return its row; a bad row for a log that cannot be replayed.
 
-    Never raises on a log, whatever it is: there are others to be done.
+    Never raises an Exception because of a log, so that the others are still done.
     """
     from gateway.fleet.work import replayed
 
     began = time.perf_counter()
     try:
         return replayed(one, settings, began)
-    except Exception as error:  # a fault of ours in one log must not stop the others either
-        # What an earlier state of the log has left would be taken for this one's.
+    except Exception as error:  # a bug of ours at one log must not stop the others either
+        # The file of an earlier state of the log would be taken for that of this one.
         remove_files(one, settings)
         return bad(one, error, time.perf_counter() - began)
 
 
 def bad(one: Job, error: BaseException | str, took_s: float | None = None) -> Row:
-    """The row of a log that could not be done, and why."""
+    """The row of a log that could not be replayed, with the error."""
     text = " ".join(str(error).split()).removeprefix(f"{one.path}: ")
     if isinstance(error, BaseException) and type(error).__name__ not in ("BadLogError", "LogError"):
         text = f"{type(error).__name__}: {text}"

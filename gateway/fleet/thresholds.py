@@ -1,9 +1,9 @@
 """Thresholds of `[adhesion]` from the results of a healthy fleet.
 
-The configuration has thresholds of the loss probability and the spread of healthy loads: those are
-measured. The results' NIS and MAISD have none there (`calibrate` measures MAISD limits, from all
-three sensors), nor has a load's share, and `[thermal] limit_k` is what an owner allows, not what is
-usual: they are left out.
+Measured are the settings for the loss probability and for the spread of healthy loads. NIS, MAISD
+and a load's share have no threshold in the configuration (`calibrate` measures MAISD limits, from
+all three sensors), and `[thermal] limit_k` is what an owner allows, not what is usual: so they are
+left out.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from gateway.settings.sections import Adhesion
 
 QUANTILE: Final = 0.999
 BINS: Final = 10_000
-"""Of a probability: a table of any length in little memory, right to four digits."""
+"""Bins of a probability's histogram: little memory for any number of rows, right to four digits."""
 HIGHEST: Final = 0.999
-"""Of a threshold, whatever was seen: above it hardly any loss would be found."""
+"""Highest threshold, whatever was measured: above it hardly any loss would be found."""
 STEP_CLIP: Final = 4.0
-"""A step counts as at most this many deviations: a passing curve is not a wide spread."""
+"""A step counts as at most this many standard deviations: passing a curve is no wide spread."""
 SHOWN: Final = 5
 
 Array = NDArray[Any]
@@ -44,7 +44,7 @@ class Seen(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Of all logs: per node and together; spread_nm: of loads, as `[adhesion]` means it."""
+    """Result for all logs, by node and together. spread_nm: as in `[adhesion]`; None: not known."""
 
     drives: dict[int, Seen]
     fleet: Seen
@@ -63,18 +63,18 @@ class _Tally:
         self.largest = 0.0
 
     def add(self, samples: Array, peaks: Array) -> None:
-        """Both (n,), NaN where not known."""
+        """Add loss probabilities, both (n,), NaN: not known."""
         known = samples[~np.isnan(samples)]
         self.bins += np.histogram(known, BINS, (0.0, 1.0))[0]
         self.largest = max(self.largest, np.max(peaks, initial=0.0, where=~np.isnan(peaks)).item())
 
     def merge(self, other: _Tally) -> None:
-        """Take another drive's."""
+        """Add another drive's histogram."""
         self.bins += other.bins
         self.largest = max(self.largest, other.largest)
 
     def seen(self) -> Seen:
-        """Quantile as the upper edge of its bin."""
+        """Summary, with the upper edge of its bin as the quantile."""
         total = int(self.bins.sum())
         place = int(np.searchsorted(np.cumsum(self.bins), QUANTILE * total))
         quantile = min((place + 1) / BINS, 1.0) if total else 0.0
@@ -82,9 +82,9 @@ class _Tally:
 
 
 def measure(folder: Path, *, force: bool) -> Measured:
-    """Read a fleet's results. Raises ConfigError where they are none, or not of a healthy fleet.
+    """Read a fleet's results. Raises ConfigError if there are none, or the fleet is not healthy.
 
-    force: take them although flags were raised, which says that those were false.
+    force: accept results in which flags were raised, on the assertion that these were false.
     """
     table = folder / TABLE
     metadata = metadata_of(table)
@@ -127,7 +127,7 @@ def measure(folder: Path, *, force: bool) -> Measured:
 
 
 def _logs(folder: Path, rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Array]]:
-    """The columns needed of every log; missing numbers are NaN here."""
+    """The columns needed, of every log; null becomes NaN. Raises ConfigError for a missing file."""
     names = ["t_ns", "drive", "load_nm", "loss_probability", PEAK]
     for row in rows:
         path = folder / row["file"]
@@ -139,10 +139,10 @@ def _logs(folder: Path, rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Ar
 
 
 def _steps(samples: dict[str, Array], nodes: Sequence[int], rated: Array) -> tuple[float, float]:
-    """Sum of squares, and their number, whose mean is the squared spread per unit of rated torque.
+    """(sum of squares, number), whose quotient is the squared spread per unit of rated torque.
 
-    As the detector learns it: of the drives' loads around their mean, what changes from one sample
-    to the next is noise, twice its variance; what stays is a difference for good. rated: (N,).
+    As the detector learns it: in the drives' loads around their mean, a change from one sample to
+    the next is noise, with twice its variance; what stays is a lasting difference. rated: (N,).
     """
     stamps = np.unique(samples["t_ns"])
     load = np.full((stamps.size, len(nodes)), np.nan)
@@ -150,7 +150,7 @@ def _steps(samples: dict[str, Array], nodes: Sequence[int], rated: Array) -> tup
         mine = samples["drive"] == node
         load[np.searchsorted(stamps, samples["t_ns"][mine]), k] = samples["load_nm"][mine]
     load /= rated
-    # Ticks in which one drive alone has a row are no samples of the set.
+    # Ticks in which not every drive has a row are not used.
     whole = ~np.isnan(load).any(axis=1)
     load, stamps = load[whole], stamps[whole]
     beside = load - load.mean(axis=1, keepdims=True)
@@ -163,10 +163,10 @@ def _steps(samples: dict[str, Array], nodes: Sequence[int], rated: Array) -> tup
 
 
 def to_toml(measured: Measured) -> str:
-    """A fragment for the configuration, with what it rests on as comments.
+    """A fragment for the configuration, with its basis in comments.
 
-    Nothing is made more sensitive than what is in use: healthy logs show that a threshold or the
-    spread is too low, never that it is too high.
+    No value becomes more sensitive than the one in use: healthy logs can show that a threshold or
+    the spread is too low, never that it is too high.
     """
     seen, used = measured.fleet, measured.adhesion
     raised = max(used.raise_probability, min(_up((1.0 + seen.largest) / 2.0), HIGHEST))

@@ -1,4 +1,4 @@
-"""The work for one log of a fleet: the core of `replay`, its file, its row."""
+"""The work for one log of a fleet: replay, result file, row."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def _codec(path: Path, nodes: tuple[int, ...]) -> Codec:
 
 
 def prepare(settings: Settings) -> str:
-    """Load whatever a replay needs; says what is wrong, or nothing.
+    """Load what a replay needs; return the problem, empty if there is none.
 
-    A text, because an error would have to survive its journey to another process.
+    It is a text, because an exception might not be transferable to another process.
     """
     config, here = settings.config, version("traction-gateway")
     if settings.version != here:
@@ -41,14 +41,14 @@ def prepare(settings: Settings) -> str:
 
 
 def replayed(one: Job, settings: Settings, began: float) -> Row:
-    """Replay a log, leave its file, give its row. Raises whatever a log can make it raise.
+    """Replay a log, write its file, return its row. Raises any error that the log causes.
 
-    began: of `time.perf_counter`, from where the row's time counts.
+    began: value of `time.perf_counter` from which the row's time counts.
     """
     if not one.path.is_file():
         msg = "not a file" if one.path.exists() else "no such file"
         raise BadLogError(msg)
-    # Before it is read: a log that is still being written has changed by the next run.
+    # Taken before the log is read: if it is still being written, the next run sees a change.
     mark = fingerprint(one.path, settings)
     with storage.fetched(one.path) as log, storage.writable(settings.folder) as folder:
         return _replayed(one, settings, log, folder, mark)._replace(
@@ -57,9 +57,9 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
 
 
 def _replayed(one: Job, settings: Settings, path: Path, folder: Path, mark: dict[str, str]) -> Row:
-    """The log in `path`, its file into `folder`, both local. The row is without its time.
+    """Replay `path` and write the file into `folder`, both local. The row has no `took_s`.
 
-    So is the file: the same log gives the same bytes, whoever does it and how often.
+    Nor has the file, so that the same log always gives the same bytes.
     """
     config = settings.config
     log = open_log(path, strict=False)

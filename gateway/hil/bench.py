@@ -1,7 +1,7 @@
 """The bench: simulated drives and the gateway together on a virtual clock.
 
-The same core as live and replay; here the frames come from `sim` and the gateway's frames go
-back to it, so that the loop is closed. Faster than real time and the same on every run.
+The core is the same as live and in replay; here its frames come from `sim`, and its own frames go
+back to `sim`, which closes the loop. Faster than real time, and the same on every run.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ Watch = Callable[[Nanos, list[Frame], list[Frame], Gateway], None]
 
 
 class Outcome(NamedTuple):
-    """What a scenario came to."""
+    """Result of a scenario."""
 
     scenario: Scenario
     verdicts: list[Verdict]
     gateway: Gateway
     overload: str = ""
-    """Why a machine was too slow for a scenario in real time; then no failure counts."""
+    """Evidence that the machine was too slow for real time; a failure is then inconclusive."""
 
     @property
     def passed(self) -> bool:
-        """True when every expectation held."""
+        """Whether every expectation held."""
         return all(v.passed for v in self.verdicts)
 
     @property
     def inconclusive(self) -> bool:
-        """True when an expectation did not hold on a machine that could not keep up."""
+        """Whether an expectation failed on a machine that could not keep up."""
         return bool(self.overload) and not self.passed
 
 
 def touched_drives(scenario: Scenario) -> set[int]:
-    """Drives that an event names; `all` names every one."""
+    """Drives to which an event applies; `all` means every drive."""
     everyone = set(range(1, scenario.drives + 1))
     touched: set[int] = set()
     for event in scenario.event:
@@ -60,7 +60,7 @@ def touched_drives(scenario: Scenario) -> set[int]:
 def both_sides(
     key: bytes | None, trip: int = 1
 ) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
-    """Sender, and what makes a drive's receiver that has heard every start before this one."""
+    """Sender, and a factory of drives' receivers that accept no freshness before its first."""
     if key is None:
         return None, None
     from dbc.secoc_receiver import Verifier
@@ -82,9 +82,9 @@ def run_virtual(
 ) -> Outcome:
     """Run on the virtual clock, starting at 0. Raises ConfigError as `Gateway` does.
 
-    The gateway starts the drives, whatever the configuration says, which is named as it is.
-    key: flags are authenticated with it, and the drives believe no others. begin: is given the
-    gateway before its first tick; truth: takes what is really so, tick by tick.
+    The gateway starts the drives even if the configuration does not make it NMT master.
+    key: authenticates the flags; the drives then accept no others. begin: called with the gateway
+    before its first tick; truth: called with the rows of the ground truth after every step.
     """
     watch = tuple(watch)
     authenticator, verifier = both_sides(key)

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from gateway.reports.reporting import Reporting
 
 TRUTH = "truth.csv"
-"""What is really so, among the results."""
+"""File of the ground truth, among the results."""
 
 
 def bus_arguments(options: Namespace) -> list[str]:
-    """The bus options of this command line, for a child's."""
+    """The bus options of this command line, for that of a child process."""
     words: list[str] = []
     for key, flag in (("interface", "-i"), ("channel", "-c"), ("bitrate", "-b"),
                       ("data_bitrate", "--data-bitrate")):  # fmt: skip
@@ -41,7 +41,7 @@ def bus_arguments(options: Namespace) -> list[str]:
 
 
 def _authentication(config: Config, gateway: Gateway) -> list[str]:
-    """What the drives have to know to believe the gateway's flags; the key by its file's name."""
+    """Options with which the drives verify the gateway's flags; the key is named by its file."""
     sender = gateway.outbox.authenticator
     if config.authentication is None or sender is None:
         return []
@@ -59,12 +59,12 @@ def run_on_real_bus(
     *,
     progress: Callable[[float], None],
 ) -> Outcome:
-    """Run in real time, until the drives have left. Raises `Ended` where a signal came first.
+    """Run in real time until the drives' process ends. Raises `Ended` if a signal came first.
 
-    Scenario time starts with the first frame heard from a drive; what is said after its end, when
-    the drives are leaving, is not judged. left: what keeps the run for a report, and the truth
-    that the drives' process writes into its folder, on their clock. progress: called once a second,
-    with the scenario's time in s.
+    Scenario time starts with the first frame received; flags sent after its end, when the drives
+    stop, are not evaluated. left: records the run for a report; the drives' process writes the
+    ground truth, on its own clock, into its folder. progress: called once a second, with the
+    scenario's time in s.
     """
     ticker = Ticker(config.loop.period_ns)
     authenticator = flag_authenticator(config)
@@ -109,7 +109,7 @@ def run_on_real_bus(
             child.terminate()
         child.wait(timeout=10)
     if stop.ended is not None:
-        raise stop.ended  # what was not seen to its end has no verdict
+        raise stop.ended  # an incomplete run has no verdict
     if child.returncode:
         msg = f"the simulated drives' process ended early, with exit code {child.returncode}"
         raise ChildProcessError(msg)

@@ -1,8 +1,8 @@
 """The demo: simulated drives and gateway on python-can's embedded `virtual` bus.
 
-One loop steps both sides, so the demonstration needs no second process; every frame really
-passes the bus, through the same transport and the same core as in service. Time is the tick's:
-paced to the wall clock, and in slow motion, not wrong, on a machine that cannot keep up.
+One loop steps both sides, so the demonstration needs no second process; every frame does pass
+the bus, through the same transport and the same core as in service. Time is that of the ticks,
+which follow real time; on a machine that cannot keep up, the demo is slow but not wrong.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim.simulation import Simulation
 
 
 class Done(NamedTuple):
-    """What the demo came to. pace: simulated over real seconds, 1 when it kept up."""
+    """Result of the demo. pace: simulated over real time, 1 if the machine kept up."""
 
     gateway: Gateway
     truth: list[Truth]
@@ -33,7 +33,7 @@ class Done(NamedTuple):
 
 
 def rehearse(scenario: Scenario, config: Config, codec: Codec) -> None:
-    """Import what both sides need, so that nothing is imported while the clock runs."""
+    """Run three ticks of the drives, so that nothing has to be imported while the clock runs."""
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
     for tick in range(3):
         simulation.step([], tick * config.loop.period_ns)
@@ -48,9 +48,9 @@ def run_demo(
     watch: Callable[[int, Gateway], None],
     began_s: float,
 ) -> Done:
-    """Run for `seconds` from time 0; `watch` sees every tick. Truth rows are the simulator's.
+    """Run for `seconds` from time 0; `watch` is called every tick.
 
-    began_s: when the program started, on the monotonic clock.
+    began_s: start of the program on the monotonic clock.
     """
     now: Nanos = 0
 
@@ -58,7 +58,7 @@ def run_demo(
         return now
 
     def no_stamp() -> Nanos:
-        """The embedded bus stamps with the wall clock; the tick's time is taken instead."""
+        """Wall clock for PythonCan, always 0, so that frames get the tick's time as their stamp."""
         return 0
 
     bus = {"interface": "virtual", "channel": channel}

@@ -25,9 +25,9 @@ def scenario_thermal() -> dict[str, str]:
 def fitting(
     path: Path | None, scenario: Scenario, signature: argparse.Namespace | None = None
 ) -> tuple[Config, Codec]:
-    """Configuration for the scenario's drives and motors, unless a file says otherwise.
+    """The configuration in a file, or without one that for the scenario's drives and motors.
 
-    signature: as of `prepare`. Raises ConfigError or DbcMismatch with every problem.
+    signature: see `prepare`. Raises ConfigError or DbcMismatch with every problem.
     """
     from dbc.codec import bind
     from gateway.settings.sections import Drive

@@ -1,9 +1,9 @@
-"""How soon a loss of adhesion will be found: from DBC, data sheet and noise, without a simulator.
+"""Forecast of the time to detect a loss, from DBC, data sheet and noise, without a simulator.
 
-The load estimate's error and its answer to a lost load follow from the filter's steady gain
+The load estimate's error and its response to a lost load follow from the filter's steady gain
 (`estimators.load_response`). Loads with this error go through the configuration's own detector,
-debounce and transmission. A drive catches its wheel within some ms (`CATCH_RAD_S`), and all turn at
-one steady speed. May know: the core's records. May not know: frames.
+debounce and transmission. Each drive stops the spin-up within some ms (`CATCH_RAD_S`), and all turn
+at one steady speed. May know: the core's records. May not know: frames.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 RUNS: Final = 20
-"""Random errors of the loads, and phases of the loss in the cycles of the bus."""
+"""Cases, each with its own random load errors and its own phase of the loss in the bus cycles."""
 WARM_NS: Final[Nanos] = 2500 * MS
-"""Before the loss: the detector learns the noise."""
+"""Time before the loss, in which the detector learns the noise."""
 LIMIT_NS: Final[Nanos] = 300 * MS
-"""A loss that is not found within this is not found."""
+"""A loss that is not found within this time counts as not found."""
 OBSERVER_STEPS: Final = 16
-"""In which a cycle of `Motion` is divided."""
+"""Steps into which a cycle of `Motion` is divided."""
 CURRENT, VOLTAGE = ("Ia", "Ia_0"), ("Ualpha", "Ualpha_0")
 CATCH_RAD_S: Final = 60.0
-"""A drive's own slip or speed control: critically damped, as the simulator's drives are."""
+"""Bandwidth of a drive's own slip or speed control, critically damped as in the simulator."""
 
 
 class Source(NamedTuple):
-    """Where the load of a drive comes from. every_ns: a measurement; cycle_ns: a message."""
+    """Source of a drive's load. every_ns: measurement interval; cycle_ns: message cycle time."""
 
     answer: Answer
     every_ns: Nanos
@@ -59,11 +59,11 @@ class Source(NamedTuple):
     by_observer: bool
 
     def newest(self, now: Nanos) -> Nanos:
-        """When the newest measurement was taken that a tick at `now` has."""
+        """Time of the newest measurement that is available to a tick at `now`."""
         return (-(-now // self.cycle_ns) - 1) * self.cycle_ns
 
     def answered(self, passed: Nanos, inertia: float) -> tuple[float, float]:
-        """Changes of estimated load and speed per Nm of a load that was lost so long before."""
+        """Changes of estimated load and speed, per Nm lost, `passed` after the loss."""
         if passed <= 0:
             return 0.0, 0.0
         a, steps = self.answer, len(self.answer.within)
@@ -78,7 +78,7 @@ class Source(NamedTuple):
         return -1.0 - load, _spin_up(times[-1]) / inertia - speed
 
     def errors(self, period_ns: Nanos, ticks: int, rng: np.random.Generator) -> Array:
-        """(ticks, RUNS, 2) of the load, Nm, and the speed, rad/s, ticks apart."""
+        """Random estimation errors (ticks, RUNS, 2) of load, Nm, and speed, rad/s, at each tick."""
         a = self.answer
         stride = max(1, period_ns // self.every_ns)
         A, noise = a.A, a.noise
@@ -93,17 +93,17 @@ class Source(NamedTuple):
 
 
 def _spin_up(t: float) -> float:
-    """Speed times inertia that a rotor gains within t s of the loss of 1 Nm."""
+    """Speed gained by a rotor, times its inertia, t s after the loss of 1 Nm."""
     return max(t, 0.0) * math.exp(-CATCH_RAD_S * t)
 
 
 def _torque(t: float) -> float:
-    """What the drive changes its torque by: the derivative of `_spin_up` less the load."""
+    """Change of the drive's torque t s after the loss: derivative of `_spin_up`, minus 1 Nm."""
     return (1.0 - CATCH_RAD_S * t) * math.exp(-CATCH_RAD_S * t) - 1.0 if t > 0.0 else 0.0
 
 
 def _torque_error(t: float, after: float) -> float:
-    """Nm s between two measurements, true less the mean of both ends, as the observer has it."""
+    """True torque impulse between two measurements, Nm s, minus the observer's (mean of ends)."""
     true = _spin_up(after) - after - (_spin_up(t) - max(t, 0.0))
     return true - 0.5 * (after - t) * (_torque(t) + _torque(after))
 
@@ -121,12 +121,12 @@ def _root(P: Array) -> Array:
 
 
 class Forecast:
-    """Of one speed and torque. Raises ConfigError as `Gateway` does, ValueError with a reason."""
+    """Forecast for one speed and torque. Raises ConfigError as `Gateway`, ValueError (reason)."""
 
     def __init__(
         self, config: Config, codec: Codec, speed_rad_s: float, torque: float, seed: int = 1
     ) -> None:
-        """speed_rad_s: of all rotors; torque: share of each motor's rated one."""
+        """speed_rad_s: speed of all rotors; torque: share of each motor's rated torque."""
         self._gateway = gateway = Gateway(config, codec, 0)
         self._period = config.loop.period_ns
         self._torque = torque * np.array(gateway.adhesion.rated)
@@ -155,7 +155,10 @@ class Forecast:
         self._warmed = [self._warm_up(run) for run in range(RUNS)]
 
     def delays_ms(self, drive: int, loss: float) -> Array:
-        """(RUNS,) until the flag of a drive says so; infinite: it does not. loss: of its load."""
+        """(RUNS,) times from a loss to the drive's bad flag, ms; infinite: not found.
+
+        loss: share of the drive's load.
+        """
         return np.array([self._delay_ms(run, drive, loss) for run in range(RUNS)])
 
     def _warm_up(self, run: int) -> start_record.State:
@@ -170,7 +173,7 @@ class Forecast:
 
     def _delay_ms(self, run: int, drive: int, loss: float) -> float:
         start_record.set_state(self._gateway, self._warmed[run])
-        # Phases in the cycle of Status and, by the golden ratio, in the tick.
+        # Phases spread over the cycle of Status and, by the golden ratio, over the tick.
         phase = (run + run * 0.618 % 1.0) / RUNS
         begin = self._warm * self._period + round(phase * self._status_ns)
         k = self._warm
@@ -191,7 +194,7 @@ class Forecast:
         return self._gateway.status.drives["flag"][:, FlagKind.ADHESION]["state"]
 
     def _tick(self, load: Array, speed: Array, now: Nanos) -> None:
-        """A tick from the estimates on, as in `tick.c`."""
+        """Run a tick from the estimates onwards, as in `tick.c`."""
         gateway, estimates = self._gateway, self._gateway.bank.estimates
         estimates["load_nm"], estimates["speed_rad_s"] = load, speed
         estimates["load_sigma_nm"] = [s.answer.sigma for s in self.sources]
@@ -208,7 +211,10 @@ class Forecast:
 
 
 def sources(gateway: Gateway, speed_rad_s: float) -> list[Source]:
-    """Of every drive: its filter, or the load observer where one turns too fast for its samples."""
+    """Load source of each drive: its filter, or the observer if any drive is too fast for samples.
+
+    Raises ValueError for a drive without currents, or too fast and without `Motion`.
+    """
     motors = gateway.bank.motors
     most = gateway.motion.record["max_w_e"].item()
     fast = [motor[3] * speed_rad_s > most for motor in motors]
@@ -228,7 +234,7 @@ def sources(gateway: Gateway, speed_rad_s: float) -> list[Source]:
 
 
 def _check_range(gateway: Gateway, speed_rad_s: float, torque: Array) -> None:
-    """Raises ValueError for what the DBC's signals cannot hold."""
+    """Raises ValueError if the DBC's signals cannot hold the current or the speed."""
     for drive, nm, motor in zip(gateway.inbox.drives, torque, gateway.bank.motors, strict=True):
         per_a = motor[6] * motor[3] * motor[2]
         for names, channels, size, unit in (
@@ -253,7 +259,7 @@ def _filter(
     step_a, step_v = _step(channels, CURRENT), _step(channels, VOLTAGE)
     rated = gateway.bank.rated_a[k] / BENCH_MOTOR.I_rated
     phase = gateway.config.estimator.current_noise_var * rated**2 + step_a**2 / 12.0
-    # Of three phases; or of two, mean of alpha and beta.
+    # Variance share of three phases, or of two phases (mean of alpha and beta).
     share = 2.0 / 3.0 if len(channels) > 1 else 4.0 / 3.0
     of = load_response.ekf(
         motor, noise.Q[k], noise.R[k], phase * share * np.eye(2), step_v**2 / 12.0, w_e, steps, dt
@@ -278,5 +284,5 @@ def _signals(channels: Sequence[Channel], names: Sequence[str]) -> list[SignalSp
 
 
 def _step(channels: Sequence[Channel], names: Sequence[str]) -> float:
-    """Resolution of a signal."""
+    """Coarsest resolution of the signals with these names; 0 if there are none."""
     return max((abs(s.scale) for s in _signals(channels, names)), default=0.0)

@@ -1,4 +1,4 @@
-"""The smallest loss that will be found in time, by drive, speed and torque: table and picture."""
+"""The smallest loss that is detected in time, by drive, speed and torque: table and picture."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 SPEEDS: Final = (0.05, 0.1, 0.25, 0.5, 1.0)
-"""Of rated speed."""
+"""Shares of rated speed."""
 TORQUES: Final = (0.5, 1.0)
-"""Of rated torque."""
+"""Shares of rated torque."""
 LOSSES: Final = (
     1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.25, 0.22, 0.2, 0.18, 0.16, 0.15, 0.14, 0.13, 0.12, 0.11, 0.1,
     0.09, 0.08, 0.07, 0.06, 0.05,
 )  # fmt: skip
-"""Of the load, from the largest on."""
+"""Lost shares of the load, largest first."""
 SURE: Final = 0.9
-"""A loss counts as found in time if it is in this share of the cases."""
+"""Share of the cases in which a loss must be found in time to count as found in time."""
 
 
 WITHIN_MS: Final = (50, 200)
@@ -38,7 +38,7 @@ TICKS_MS: Final = (10, 20, 50, 100, 200)
 
 
 class Cell(NamedTuple):
-    """One motor, speed and torque. delays_ms: cases of each loss; problem: why there are none."""
+    """One motor, speed and torque. delays_ms: (cases,) by loss; problem: why it is empty."""
 
     nodes: tuple[int, ...]
     motor: str
@@ -48,7 +48,7 @@ class Cell(NamedTuple):
     problem: str = ""
 
     def smallest(self, within_ms: float) -> float | None:
-        """Smallest loss that is found in time, as all larger ones are; None: no loss is."""
+        """Smallest loss that, like all larger ones, is found in time; None: the largest is not."""
         found = None
         for loss, delays in self.delays_ms.items():
             if (delays <= within_ms).mean() < SURE:
@@ -58,9 +58,9 @@ class Cell(NamedTuple):
 
 
 def cells(config: Config, codec: Codec, rated_rpm: float, ended: Callable[[], None]) -> list[Cell]:
-    """Of the first drive of each motor and kind of inverter.
+    """Forecasts for the first drive of each motor and kind of inverter.
 
-    ended: is called after each speed and torque. Raises ConfigError as `Gateway` does.
+    ended: called after each speed and torque. Raises ConfigError as `Gateway` does.
     """
     alike: dict[tuple[str, str | None], list[int]] = defaultdict(list)
     for place, drive in enumerate(config.drive):
@@ -83,7 +83,7 @@ def cells(config: Config, codec: Codec, rated_rpm: float, ended: Callable[[], No
 
 
 def _delays(forecast: Forecast, drive: int) -> dict[float, Array]:
-    """Down to the first loss that is found in less than half of the cases."""
+    """Delays by loss, down to the first loss that is not found in about half of the cases."""
     out: dict[float, Array] = {}
     for loss in LOSSES:
         out[loss] = forecast.delays_ms(drive, loss)
@@ -93,7 +93,7 @@ def _delays(forecast: Forecast, drive: int) -> dict[float, Array]:
 
 
 def write_forecast(folder: Path, of: Sequence[Cell]) -> list[Path]:
-    """`forecast.csv` and `forecast.svg`."""
+    """Write `forecast.csv` and `forecast.svg`; return their paths."""
     lines = ["drives,motor,speed_rpm,torque_percent,loss_percent,found_percent,median_ms,p90_ms"]
     for cell in of:
         nodes = " ".join(map(str, cell.nodes))
@@ -111,7 +111,7 @@ def write_forecast(folder: Path, of: Sequence[Cell]) -> list[Path]:
 
 
 def _draw(path: Path, of: Sequence[Cell]) -> None:
-    """Median delay over loss: a panel for each kind of drive and torque, a line for each speed."""
+    """Draw median delay over loss: a panel per kind of drive and torque, a line per speed."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 

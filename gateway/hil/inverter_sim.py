@@ -1,4 +1,4 @@
-"""Simulated drives with other makers' messages: our frames translated into theirs.
+"""Simulated drives with other makers' messages: our frames are translated into theirs.
 
 The reverse of `gateway.mapping.translate`, for `check` and for tests. May know: mappings, frames.
 """
@@ -20,10 +20,10 @@ _SQRT3: Final = math.sqrt(3.0)
 
 
 class Inverter:
-    """One drive of a mapped configuration, fed with what its simulated twin sends."""
+    """One mapped drive, which translates the frames of a simulated drive."""
 
     def __init__(self, plan: Plan) -> None:
-        """Nothing known yet."""
+        """Start without any values."""
         self.plan = plan
         self._known: dict[str, float] = {}
         self._angle: tuple[float, Nanos] = (0.0, 0)
@@ -42,14 +42,14 @@ class Inverter:
         )
 
     def convert(self, kind: str, values: Mapping[str, float], t_ns: Nanos) -> Iterator[Frame]:
-        """Frames of theirs that are due with this frame of ours of that kind, at t_ns."""
+        """Frames of the other maker that are due when our frame of this kind comes at t_ns."""
         k = self._known
         k.update(values)
         if kind == "Motion":
             self._angle = (values["ElectricalAngle"], t_ns)
         if kind == "PhaseCurrents":
             self._currents(t_ns)
-        # Currents and voltages of one instant come in this order.
+        # Currents and voltages of one instant arrive in this order.
         if kind != "StatorVoltages":
             return
         self._voltages()
@@ -91,12 +91,12 @@ class Inverters:
     """The mapped drives among simulated ones."""
 
     def __init__(self, planned: Sequence[Plan], ours: Codec) -> None:
-        """ours: decodes what the simulated drives send."""
+        """ours: codec of the simulated drives' messages."""
         self._inverters = {plan.node: Inverter(plan) for plan in planned}
         self._ours = ours
 
     def convert(self, frames: Iterable[Frame]) -> list[Frame]:
-        """Frames of simulated drives as the mapped ones send them, those of others as they are."""
+        """Translate frames of mapped drives, and pass on those of others unchanged."""
         out: list[Frame] = []
         for frame in frames:
             spec = self._ours.by_id.get(frame.can_id)

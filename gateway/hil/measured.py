@@ -19,16 +19,16 @@ MEASURE_NS: Final[Nanos] = SECOND
 
 
 class Measured:
-    """The last second before the loss. frames: of both sides; times_us: of the gateway, by tick."""
+    """Last second before the loss. frames: both sides'; times_us: the gateway's, for each tick."""
 
     def __init__(self, config: Config) -> None:
-        """Empty."""
+        """Start empty."""
         self.frames: list[Frame] = []
         self.times_us: list[float] = []
         self._node = CanopenNode(config.nodes)
 
     def step(self, gateway: Gateway, batch: list[Frame], now: Nanos, begin: Nanos) -> None:
-        """In place of `gateway.step(batch, now)`; the loss begins at `begin`."""
+        """Use in place of `gateway.step(batch, now)`; the loss begins at `begin`."""
         began = time.perf_counter_ns()
         out = gateway.step(batch, now)
         took = time.perf_counter_ns() - began

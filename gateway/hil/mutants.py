@@ -1,7 +1,8 @@
-"""Gateways with a fault, to test whether a test suite would notice.
+"""Gateways with a fault, to test whether a test suite detects it.
 
-A mutant alters the flag frames as they stand on the wire. Checksum and counter are made anew, so
-that only what the mutant is about is wrong. The drives of a run heard the frames as they were.
+A mutant alters the recorded flag frames. Their checksum is computed again and their counter kept,
+so that nothing is wrong but the mutant's fault. In the run, the drives received the original
+frames.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ FLAG_MESSAGES: Final = ("Gateway_Adhesion", "Gateway_Faults")
 
 
 class Sent(NamedTuple):
-    """One flag frame: values of its signals by name; whole: whether its checksum fits."""
+    """One flag frame. values: its signals by name; whole: whether its checksum is right."""
 
     t_ns: Nanos
     spec: MessageSpec
@@ -31,17 +32,17 @@ class Sent(NamedTuple):
     whole: bool = True
 
     def having(self, **values: int) -> Sent:
-        """The same with these flags, of those that the message has."""
+        """The frame with these flags changed, except those that the message does not have."""
         own = {name: float(flag) for name, flag in values.items() if name in self.values}
         return self._replace(values={**self.values, **own})
 
 
 Alter = Callable[[list[Sent], Sequence[int]], list[Sent]]
-"""(frames of a run in order, node numbers) -> what stands on the bus instead."""
+"""(frames of a run in order, node numbers) -> frames on the bus instead."""
 
 
 class Mutant(NamedTuple):
-    """A fault in words, and what it does."""
+    """A fault in words, and the function that makes it."""
 
     text: str
     alter: Alter
@@ -62,7 +63,7 @@ def decoded(codec: Codec, frames: Sequence[Frame]) -> list[Sent]:
 
 
 def encoded(codec: Codec, sent: Sequence[Sent]) -> list[Frame]:
-    """As frames, in the order of their time."""
+    """Encode as frames, in order of time."""
     frames = []
     for one in sorted(sent, key=lambda one: one.t_ns):
         payload = codec.encode(one.spec, one.values)
@@ -73,7 +74,7 @@ def encoded(codec: Codec, sent: Sequence[Sent]) -> list[Frame]:
 
 
 def mutants(count: int, seed: int) -> list[Mutant]:
-    """So many different ones, or as many as there are."""
+    """`count` different mutants drawn by seed, fewer if no more are found."""
     rng = random.Random(seed)  # noqa: S311 a choice of tests
     found: dict[str, Mutant] = {}
     for _ in range(100 * count):
@@ -89,7 +90,7 @@ def _each(change: Callable[[Sent, Sequence[int]], Sent]) -> Alter:
 
 
 def _flag(rng: random.Random) -> tuple[str, int]:
-    """What the flags of drives are called, and the place of one of three drives."""
+    """Draw a kind of flag, and the place of one of three drives."""
     return rng.choice(("Adhesion", "Adhesion", "Thermal")), rng.randrange(3)
 
 
@@ -98,7 +99,7 @@ def _node(nodes: Sequence[int], place: int) -> int:
 
 
 def _instead(rng: random.Random, what: str, old: Flag, new: Flag) -> Mutant:
-    """A drive's flag `new` where it is `old`."""
+    """A mutant in which a drive's flag is `new` wherever it should be `old`."""
     kind, place = _flag(rng)
 
     def change(one: Sent, nodes: Sequence[int]) -> Sent:

@@ -1,4 +1,4 @@
-"""Whether scenarios would notice a gateway with a fault (`hil --mutate`)."""
+"""Mutation test: whether scenarios detect a gateway with a fault (`hil --mutate`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim.scenario import Scenario
 
 
 class Recorded(NamedTuple):
-    """What a scenario's gateway said, as it should be; passed: whether its expectations held."""
+    """A scenario with the flag frames of a gateway without fault; passed: all expectations held."""
 
     name: str
     scenario: Scenario
@@ -27,7 +27,10 @@ class Recorded(NamedTuple):
 
 
 class Result(NamedTuple):
-    """Of a mutant: the scenario that notices it, None where none does; whether any shows it."""
+    """Result for a mutant.
+
+    noticed_by: scenario with a failed expectation, or None; alters: whether it changed any frame.
+    """
 
     mutant: Mutant
     noticed_by: str | None
@@ -35,7 +38,7 @@ class Result(NamedTuple):
 
 
 def record(name: str, scenario: Scenario, config: Config, codec: Codec) -> Recorded:
-    """Run it on the virtual clock. Raises ConfigError as `Gateway` does."""
+    """Run a scenario on the virtual clock. Raises ConfigError as `Gateway` does."""
     sent: list[Sent] = []
 
     def keep(_now: Nanos, _received: list[Frame], frames: list[Frame], _gateway: Gateway) -> None:
@@ -46,7 +49,7 @@ def record(name: str, scenario: Scenario, config: Config, codec: Codec) -> Recor
 
 
 def judged(mutant: Mutant, suite: Sequence[Recorded]) -> Result:
-    """Whether an expectation of any of these scenarios fails with it. Short runs come first."""
+    """Whether an expectation of any scenario fails with the mutant. Short runs are tried first."""
     alters = False
     for run in sorted(suite, key=lambda run: len(run.sent)):
         altered = mutant.alter(run.sent, run.nodes)

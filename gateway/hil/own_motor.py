@@ -1,4 +1,4 @@
-"""A scenario with the configuration's motors, so that simulation and filters have the same."""
+"""A scenario with the configuration's motor, so that simulation and filters use the same one."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from sim.scenario import Scenario, parse
 def with_motor_of(config: Config, scenario: Scenario) -> Scenario:
     """The scenario with the configuration's motor, unless it names one itself.
 
-    Its loads are the bench motor's and scale with rated torque, currents with rated current; speeds
-    stay as they are. Raises ConfigError where the drives' motors are not alike.
+    A scenario's loads are made for the bench motor: they are scaled by rated torque, currents by
+    rated current; speeds stay as they are. Raises ConfigError if the drives' motors differ.
     """
     names = sorted({drive.motor for drive in config.drive})
     motors = {config.motors[name] for name in names}
@@ -40,7 +40,7 @@ def with_motor_of(config: Config, scenario: Scenario) -> Scenario:
 
 
 def save_scenario(scenario: Scenario, path: Path) -> None:
-    """As a scenario file. Raises OSError."""
+    """Write a scenario file. Raises OSError."""
     path.write_text(tomli_w.dumps(_table(scenario)), encoding="utf-8")
 
 
@@ -52,7 +52,7 @@ def _table(scenario: Scenario) -> dict[str, Any]:
 
 
 def _link_v(motor: Motor, scenario: Scenario) -> float:
-    """A dc link that holds the fastest speed with 1.5 times the rated current."""
+    """DC link voltage, V: enough for the fastest speed at 1.5 times the rated current."""
     motion = scenario.motion
     fastest = max(abs(speed) for _, speed in motion.profile or [(0.0, motion.speed)])
     if motion.unit == "rpm":
@@ -61,7 +61,7 @@ def _link_v(motor: Motor, scenario: Scenario) -> float:
 
 
 def _scale(table: dict[str, Any], scenario: Scenario, motor: Motor) -> None:
-    """Loads by rated torque, currents of the sensors by rated current."""
+    """Scale loads by rated torque, and sensor currents by rated current."""
     torque = motor.T_rated / BENCH_MOTOR.T_rated
     current = motor.I_rated / BENCH_MOTOR.I_rated
     load, sensors = table.setdefault("load", {}), table.setdefault("sensors", {})

@@ -13,17 +13,17 @@ from gateway.io.transport import Transport
 from sim.simulation import Simulation
 
 FINEST_NS: Final[Nanos] = 2 * MS
-"""Shortest step; else half of the fastest cycle. Frames leave at most a step late."""
+"""Shortest step; else it is half of the fastest cycle time. Frames are at most a step late."""
 NEWEST: Final = 6
-"""Frames of an id that still leave when this process stalled: a real ECU has a mailbox per message
-and sends the newest, not the backlog. Six stay below half a counter period of the classic
-messages, so that halves of one sample still pair and no turn of the counter is missed."""
+"""Frames of an identifier that are still sent after a stall of this process: a real ECU has a
+mailbox per message and sends the newest, not the backlog. Six are less than half a counter period
+of the classic messages, so that halves of a sample still pair and no counter wrap is missed."""
 NEWEST_FD: Final = 12
-"""The same for FD frames, whose counters turn late: a time slice of a kernel at 100 Hz."""
+"""The same for FD frames, whose counters wrap later: a time slice of a kernel at 100 Hz."""
 
 
 def newest(frames: Sequence[Frame]) -> list[Frame]:
-    """The frames that mailboxes still hold: of every id the last `NEWEST`, in the same order."""
+    """Frames still in the mailboxes: per identifier the last `NEWEST` or `NEWEST_FD`, in order."""
     after = Counter(frame.can_id for frame in frames)
     kept = []
     for frame in frames:
@@ -40,10 +40,10 @@ def run_on_bus(
     after_step: Callable[[], None],
     stop: Stop | None = None,
 ) -> int:
-    """Run for `seconds` or until SIGINT or SIGTERM (`stop` knows which); close the transport.
+    """Run for `seconds` or until SIGINT or SIGTERM (`stop` records which); close the transport.
 
-    Missed ticks are caught up by the simulation itself: it always advances to the true time.
-    Returns how many frames stalls of this process have made too old to be sent.
+    The simulation catches up missed ticks itself: it always advances to the true time.
+    Returns the number of frames that were not sent because a stall had made them too old.
     """
     overwritten = 0
     stop = stop or Stop()

@@ -1,7 +1,7 @@
 """The slip-protection bench: one track, one controller, with a gateway on the bus or without.
 
-On the bus the simulator's sensors, drives' ECUs and messages are as ever; only their plant is the
-braking train. Without, the controller sees the plant itself: 20 times faster.
+On the bus, sensors, drives' ECUs and messages are the simulator's; only the plant is replaced by
+the braking train. Without a gateway, the controller sees the plant directly: 20 times faster.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from sim.scenario import Scenario, parse
 from sim.simulation import Simulation
 
 LONGEST_S: Final = 60.0
-"""A run that has not stopped by then is scored as far as it went."""
+"""A run that has not stopped by then is scored up to this time."""
 OURS: Final = "gateway"
 
 
 class Run(NamedTuple):
-    """A track under a controller."""
+    """One run of a track under a controller, with its score."""
 
     track: Track
     controller: str
@@ -51,7 +51,7 @@ CONTROLLERS: Final[dict[str, Callable[[int], Controller]]] = {
     "timid": Timid,
     "none": lambda _seed: none,
 }
-"""Those that need no bus, by name; of a seed."""
+"""Factories, from a seed, of the controllers that need no bus, by name."""
 
 
 def ride(track: Track, controller: Controller, name: str) -> Run:
@@ -61,7 +61,7 @@ def ride(track: Track, controller: Controller, name: str) -> Run:
 
 
 def scenario_of(track: Track, duration_s: float = LONGEST_S) -> Scenario:
-    """What the simulator's sensors, ECUs and bus have to know of a track."""
+    """Scenario of a track for the simulator's sensors, ECUs and bus."""
     silent = [{"kind": "silent", "at_s": 0.0, "drive": track.cut_out + 1}]
     electrical = START_M_S / TRAIN.wheel_radius_m * MOTORS[MOTOR].pole_pairs
     return parse({
@@ -79,13 +79,13 @@ class Bench(Simulation):
         self, track: Track, codec: Codec, controller: Controller | None = None,
         nodes: tuple[int, ...] | None = None, *, self_start: bool = False,
     ) -> None:  # fmt: skip
-        """controller: what the drives make of the flags, default `FlagLaw`."""
+        """controller: how the drives act on the flags, default `FlagLaw`."""
         super().__init__(scenario_of(track), codec, nodes=nodes, self_start=self_start)
         self.train = BrakingTrain(track, controller or FlagLaw(), self._flags)
         self._plant = self.train
 
     def _flags(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """(N,) what each ECU has heard of its own drive."""
+        """(N,) flag of each drive as its ECU has received it; 0: unknown."""
         return np.array([ecu.flag(self._now_ns) for ecu in self._ecus])
 
 
@@ -105,7 +105,7 @@ def ride_with_gateway(
     period: Nanos = config.loop.period_ns
     for tick in range(round(longest_s * config.loop.rate_hz) + 1):
         received = bench.step(sent, tick * period)
-        bench.truth_rows()  # nobody asks for them
+        bench.truth_rows()  # discarded, as they are not used
         if bench.train.stopped:
             break
         sent = gateway.step(received, tick * period) + node.step(received, tick * period)
@@ -116,7 +116,7 @@ def ride_with_gateway(
 def ride_on_bus(track: Track, options: Namespace) -> Run:
     """One run in real time against a device on the bus of `options` (-i, -c).
 
-    The drives go Operational by themselves. Raises `Ended` where a signal came first.
+    The drives go Operational by themselves. Raises `Ended` if a signal came first.
     """
     _, codec = configured(track)
     bench = Bench(track, codec, self_start=True)
@@ -124,7 +124,7 @@ def ride_on_bus(track: Track, options: Namespace) -> Run:
     stop = Stop()
 
     def after_step() -> None:
-        bench.truth_rows()  # nobody asks for them
+        bench.truth_rows()  # discarded, as they are not used
         if bench.train.stopped:
             stop()
 

@@ -1,4 +1,4 @@
-"""The controllers of torque on the slip-protection bench."""
+"""Torque controllers of the slip-protection bench."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEP_S: Final = 0.01
 
 
 def creep_of(seen: Seen) -> Array:
-    """(N,) as a controller sees it; of an axle without a speed NaN."""
+    """(N,) creep as a controller sees it; NaN for an axle without a speed."""
     out: Array = (seen.train_m_s - seen.wheel_m_s) / seen.train_m_s
     return out
 
@@ -26,7 +26,7 @@ def none(_seen: Seen) -> Array:
 
 
 def oracle(seen: Seen) -> Array:
-    """Knows the coefficient: asks for that, and holds the wheel just before its peak."""
+    """Ideal: knows the rail, demands its peak torque and holds the creep just below the peak."""
     before = (ORACLE_CREEP * seen.peak_creep - creep_of(seen)) * seen.train_m_s
     wanted = seen.peak_nm + HOLD_NM_S * before
     return np.nan_to_num(np.clip(wanted / seen.asked_nm, 0.0, 1.0))
@@ -34,16 +34,16 @@ def oracle(seen: Seen) -> Array:
 
 ORACLE_CREEP: Final = 0.85
 HOLD_NM_S: Final = 2000.0
-"""Nm for each m/s: a quarter of what takes it away within a step of 10 ms."""
+"""Nm per m/s: a quarter of the gain that would remove the speed error in one step of 10 ms."""
 
 
 class CreepControl:
-    """A good one of the usual kind: torque falls beyond a creep, and comes back slowly."""
+    """A good conventional controller: above a creep it reduces torque, then restores it slowly."""
 
     def __init__(
         self, creep: float = 0.05, cut: float = 8.0, back: float = 0.6, late: int = 0
     ) -> None:
-        """creep: allowed; cut: 1/s for each m/s beyond it; back: 1/s; late: steps of 10 ms."""
+        """creep: limit; cut: 1/s per m/s above it; back: 1/s; late: delay, steps of 10 ms."""
         self._creep, self._cut, self._back = creep, cut, back
         self._limit = np.ones(AXLES)
         self._past = [np.zeros(AXLES)] * (late + 1)
@@ -59,17 +59,17 @@ class CreepControl:
 
 
 def late(seed: int) -> Controller:
-    """A bad one: acts on what was a quarter of a second and more ago, and far too late on it."""
+    """A bad controller: a high creep limit, and a delay of a quarter to half a second."""
     rng = np.random.default_rng([seed, 1])
     return CreepControl(float(rng.uniform(0.2, 0.4)), float(rng.uniform(1.0, 4.0)),
                         float(rng.uniform(1.0, 3.0)), int(rng.integers(25, 50)))  # fmt: skip
 
 
 class Timid:
-    """A bad one: releases the brake of all axles at the least creep, and takes its time."""
+    """A bad controller: a small creep of one axle releases all brakes, for a long time."""
 
     def __init__(self, seed: int) -> None:
-        """Creep and times by the seed."""
+        """Draw creep, level and time by seed."""
         rng = np.random.default_rng([seed, 2])
         self._creep, self._hold_s = float(rng.uniform(0.01, 0.02)), float(rng.uniform(0.5, 1.5))
         self._level = float(rng.uniform(0.3, 0.5))
@@ -84,35 +84,35 @@ class Timid:
 
 LOST: Final = 2
 CUT: Final = 0.6
-"""A loss leaves this of the limit at once."""
+"""Factor on the limit at once when adhesion is lost."""
 FALL: Final = 4.0
 FLOOR: Final = 0.2
-"""Then it falls by so much, 1/s, down to this: with less load nobody could tell that the wheel
-holds again."""
+"""Then the limit falls at the rate `FALL`, 1/s, relative, down to `FLOOR`: with less load the flag
+could not show that the wheel grips again."""
 FASTER_M_S2: Final = 0.5
-"""A wheel that gains speed in braking finds its grip again."""
+"""A wheel that accelerates more than this while braking is regaining its grip."""
 LONGEST_S: Final = 1.0
-"""A cut after which a wheel has not gained speed for so long ends."""
+"""A cut ends after this time without acceleration of the wheel."""
 BACK: Final = 0.93
 RETURN: Final = 10.0
-"""The limit returns to this of the level at which the wheel was lost, and so much of the rest is
-made up, 1/s."""
+"""After a cut the limit returns to the level `BACK` times the limit at the loss; the difference
+shrinks at the rate `RETURN`, 1/s."""
 FEEL: Final = 0.03
 CALM_S: Final = 0.8
 QUICKER: Final = 0.3
-"""Then it feels its way up: by so much, 1/s, after this time by so much more each second, 1/s2."""
+"""The level rises at `FEEL`, 1/s; from `CALM_S` after a cut, this rate grows by `QUICKER`, 1/s2."""
 AGAIN_S: Final = 0.5
-"""No second cut so soon after one: a flag knows the limit only each 100 ms, from `Status`."""
+"""Shortest time from a cut to the next: the gateway gets the limit every 100 ms only (`Status`)."""
 
 
 class FlagLaw:
-    """What a drive makes of its flag and of its own speed: cut, let the wheel catch up, return.
+    """How a drive acts on its flag and its own speed: cut, let the wheel catch up, return.
 
-    Tuned on the library's tracks, and on no seeded one.
+    Tuned on the library's tracks only, not on seeded ones.
     """
 
     def __init__(self) -> None:
-        """All allowed."""
+        """Start with full torque allowed."""
         self._limit, self._level = np.ones(AXLES), np.ones(AXLES)
         self._cut_s, self._calm_s = np.full(AXLES, np.inf), np.zeros(AXLES)
         self._sped_up = np.zeros(AXLES, np.bool_)

@@ -40,7 +40,7 @@ and friction values: nobody is type-tested here.
 
 
 def cells(run: Run) -> tuple[str, ...]:
-    """A row under `HEAD`."""
+    """Cells of one run's row in the table of `HEAD`."""
     s: Score = run.score
     delay = "none slid" if math.isnan(s.delay_s) else f"{s.delay_s:.2f}"
     return (
@@ -51,7 +51,7 @@ def cells(run: Run) -> tuple[str, ...]:
 
 
 def leave(folder: Path, runs: Sequence[Run], device: str) -> Path:
-    """`report.html` of these runs in `folder`, with the pictures of `device`. Raises OSError."""
+    """Write `report.html` of these runs, with pictures of those of `device`. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     own = [run for run in runs if run.controller == device]
     mean = np.mean([run.score.score for run in own])
@@ -70,7 +70,7 @@ def leave(folder: Path, runs: Sequence[Run], device: str) -> Path:
 
 
 def scores(path: Path, runs: Sequence[Run]) -> None:
-    """Bars: each controller's score on each track."""
+    """Draw a bar chart of each controller's score on each track."""
     by: dict[str, dict[str, float]] = {}
     for run in runs:
         by.setdefault(run.controller, {})[run.track.name] = 100.0 * run.score.score
@@ -97,7 +97,7 @@ def _bars(axis: Axes, by: Mapping[str, Mapping[str, float]], tracks: Sequence[st
 
 
 def ride_picture(path: Path, run: Run) -> None:
-    """Speeds, brake force over what is allowed, torque limits with the flags."""
+    """Draw speeds, brake torque with the torque that rail and demand allow, limits and flags."""
     moments = run.moments
     t_s = np.array([m.t_s for m in moments])
     wanted = [

@@ -1,7 +1,7 @@
 """A train that brakes on a bench track: the simulator's plant under a torque controller.
 
-The mechanics are the plant's. Every 10 ms the rail under each wheel is laid down, the controller
-is asked, and what is to be scored is noted.
+The mechanics are the plant's. Every 10 ms the rail under each wheel is set, the controller is
+called, and the values to be scored are recorded.
 """
 
 from __future__ import annotations
@@ -32,37 +32,37 @@ Flags = NDArray[np.int64]
 
 MOTOR: Final = "traction_350kw"
 TRAIN: Final = Train(wheel_radius_m=0.43 / 3.036, mass_kg=151.0)
-"""4 t on each axle (151 kg x 796 Nm / 30 Nm), all of it braked: what rotates is 14 % of it."""
+"""4 t on each axle (151 kg x 796 Nm / 30 Nm), all of it braked: the rotating mass is 14 % of it."""
 ROTORS: Final = 1.0 + TRACTION_350KW.J / TRAIN.inertia(TRACTION_350KW)
-"""Torque of the motors over what the rail has to give: the rest slows the rotors."""
+"""Torque of the motors relative to that at the rail: the rest slows the rotors."""
 START_M_S: Final = 15.0
 STOP_M_S: Final = 2.0
-"""Below it slip protection is off, as on a train; the way from here is reckoned as asked."""
+"""End of the run: below this speed slip protection is off, as on a train."""
 LEAD_IN_S: Final = 1.0
-"""A part of the effort is asked for so long: drives are acquired, nothing is scored."""
+"""Time of reduced brake demand at the start, not scored, in which the drives are acquired."""
 LEAD_IN: Final = 0.35
-"""That part: enough load for drives to be compared, less than leaves carry."""
+"""Share of the demand meanwhile: enough load to compare the drives, less than leaves carry."""
 RISE_S: Final = 0.3
 CLEANED: Final = 0.06
-"""Friction that an axle finds more than the one before it, which has cleaned the rail."""
+"""Gain in friction from each axle to the next, whose rail the axle before has cleaned."""
 STEP: Final = 80
 """Periods of 125 us from one decision to the next."""
 STANDS: Final = SlipLimiter(0.95, 200.0, 30.0)
-"""An inverter brakes a wheel to a stop, it does not turn it backwards: the lock of this bench."""
+"""Limiter that lets an inverter brake a wheel to a stop but not turn it backwards."""
 LOCKED: Final = 0.9
-"""Creep from which on a wheel counts as locked."""
+"""Creep above which a wheel counts as locked."""
 BACKWARD: Final = -1e4
-"""rad/s2, slope of the driver's speed: the brake is applied as far as it goes."""
+"""rad/s2, slope of the driver's reference speed: full application of the brake."""
 _CREEP: Final = np.linspace(0.0, 0.5, 251)
 
 
 class Seen(NamedTuple):
-    """What a controller is given every 10 ms. Arrays (N,), of an axle that is cut out NaN.
+    """Input of a controller every 10 ms. Arrays (N,); NaN in wheel_m_s and given_nm: cut out.
 
-    train_m_s: speed of an axle without brake; wheel_m_s: rim speeds; asked_nm, given_nm: brake
-    torque at the rail that is asked of each axle, and its share now; flag: what the device under
-    test says on the bus, 1 adhering, 2 lost, 0 unknown or no device. peak_nm and peak_creep are
-    the truth, for an oracle.
+    train_m_s: speed of an unbraked axle; wheel_m_s: rim speeds; asked_nm: brake torque demanded of
+    each axle at the rail; given_nm: the part of it now applied; flag: that of the device under
+    test, 1 adhering, 2 lost, 0 unknown or no device. peak_nm and peak_creep are ground truth, for
+    an oracle.
     """
 
     t_s: float
@@ -76,13 +76,13 @@ class Seen(NamedTuple):
 
 
 Controller = Callable[[Seen], Array]
-"""Gives (N,) shares 0..1 of the torque asked; called every 10 ms from the start of a run on."""
+"""Returns (N,) shares 0..1 of the torque demanded; called every 10 ms from the start of a run."""
 
 
 class Moment(NamedTuple):
-    """10 ms of a run. Torques of the wheel's rim on the rail, Nm, braking positive; (N,) each.
+    """10 ms of a run. Torques of the wheel's rim on the rail, Nm, braking positive; arrays (N,).
 
-    limit: the controller's 0..1; peak_creep: where the rail carries most.
+    limit: the controller's output, 0..1; peak_creep: creep at which the rail carries most.
     """
 
     t_s: float
@@ -103,7 +103,7 @@ class BrakingTrain(Plant):
     def __init__(
         self, track: Track, controller: Controller, flags: Callable[[], Flags] | None = None
     ) -> None:
-        """Rolling at `START_M_S`. flags: what a device under test says, (N,)."""
+        """Start at `START_M_S`. flags: returns those of a device under test, (N,)."""
         p = parameters(TRACTION_350KW, AXLES)
         p.wheel = np.array(track.wheel)
         set_slip_limiter(p, STANDS)
@@ -112,22 +112,22 @@ class BrakingTrain(Plant):
         super().__init__(
             TRACTION_350KW, angles, on_rail=True, w_0=w_0, load_0=0.0, train=TRAIN, p=p
         )
-        # One step is fast enough above STOP_M_S: the contact's time constant is 60 us and more.
+        # One step is fine enough above STOP_M_S: the contact's time constant is at least 60 us.
         self.state.steps = 1
         self.state.cut_per_s = self.state.restore_per_s = 0.0
         self.track, self.moments = track, list[Moment]()
         self._controller, self._flags = controller, flags or (lambda: np.zeros(AXLES, int))
         self._t_s = self._way_m = 0.0
-        self._film = np.ones(AXLES)  # what is left of it under each axle
+        self._film = np.ones(AXLES)  # share of the film left under each axle
         self.rails: list[Rail] = []
 
     @property
     def stopped(self) -> bool:
-        """True at the end of the run."""
+        """Whether the run has ended."""
         return self.v_m_s <= STOP_M_S
 
     def advance(self, w_ref: Array, *_others: object) -> Array:
-        """As of the plant; of what it is given only the number of periods counts.
+        """See `Plant.advance`; of the arguments only the number of periods matters.
 
         The controller decides in calls that begin at a multiple of 10 ms.
         """
@@ -144,18 +144,18 @@ class BrakingTrain(Plant):
         return out
 
     def run(self, most_s: float = 60.0) -> list[Moment]:
-        """To its end without a bus, or for so long."""
+        """Run without a bus to the end, or for `most_s`."""
         blank, none = np.zeros(STEP), np.zeros((STEP, AXLES), bool)
         while not self.stopped and self._t_s < most_s:
             self.advance(blank, blank, blank, none, none)
         return self.moments
 
     def slips(self, drive: int, _condition: Rail) -> bool:
-        """As of the plant, on the track's rail."""
+        """See `Plant.slips`, on the track's rail."""
         return super().slips(drive, self.rails[drive])
 
     def _decide(self) -> None:
-        """Rails, what is asked and what each axle gets of it."""
+        """Set the rails, the brake demand and each axle's share of it; record the moment."""
         self.rails = [self._rail(k) for k in range(AXLES)]
         peak, creep = self._peaks()
         full = self.track.asked * self.wheel_load_nm
@@ -180,20 +180,20 @@ class BrakingTrain(Plant):
                                    np.zeros(AXLES), peak, creep, limit, flag))  # fmt: skip
 
     def _rail(self, axle: int) -> Rail:
-        """Under this axle; of a film, what the axles before and itself have left."""
+        """Rail under an axle, cleaned by the axles before, and its film worn by them and itself."""
         rail = self.track.rail_at(self._way_m - axle * AXLE_M)
         better = 1.0 + CLEANED * axle + 1.0 - float(self._film[: axle + 1].prod())
         return rail._replace(mu_0=rail.mu_0 * better)
 
     def _peaks(self) -> tuple[Array, Array]:
-        """(N,) Nm that the rail carries at the best creep of up to 0.5, and that creep."""
+        """(N,) torque, Nm, that the rail carries at the best creep up to 0.5, and that creep."""
         at = {rail: traction_coefficient(rail, _CREEP, self.v_m_s) for rail in set(self.rails)}
         best = [(float(at[r].max()), float(_CREEP[at[r].argmax()])) for r in self.rails]
         most, creep = np.array(best).T
         return self.wheel_load_nm * most, creep
 
     def _note(self, out: Array) -> None:
-        """The load of this moment, as a mean of what was simulated in it; what a film lost."""
+        """Add the mean load of the simulated periods to the moment; wear the film."""
         moment = self.moments[-1]
         share = len(out) / STEP
         moment.load_nm[:] -= share * out[:, :, LOAD].mean(axis=0)
@@ -206,6 +206,6 @@ class BrakingTrain(Plant):
 
 
 def creep_of(moment: Moment) -> Array:
-    """(N,) braking positive: 0 rolls, 1 is locked."""
+    """(N,) creep, braking positive: 0 for a rolling wheel, 1 for a locked one."""
     out: Array = (moment.train_m_s - moment.wheel_m_s) / max(moment.train_m_s, SPEED_FLOOR_M_S)
     return out

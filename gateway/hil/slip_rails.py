@@ -1,9 +1,9 @@
 """The rails of the slip-protection bench, and tracks drawn by seed.
 
-After the shape of EN 15595:2018+A1:2023 (low adhesion all the way, a stretch of it, a film that
-breaks through, wheels of unlike diameter, wheel rotation monitoring, a degraded axle) and of UIC
-541-05 (utilisation of the adhesion that there is). Their trains, speeds and friction values are
-not these: the rig's train is a model (sim/physics/plant.py), its curves are Polach's.
+The test cases follow EN 15595:2018+A1:2023 (low adhesion all the way or on a stretch, a film that
+breaks through, wheels of unequal diameter, wheel rotation monitoring, a degraded axle) and UIC
+541-05 (utilisation of the available adhesion). The standards' trains, speeds and friction values
+are not used: the train is a model (sim/physics/plant.py), and the adhesion curves are Polach's.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from sim.physics.adhesion import RAILS, Rail
 
 AXLES: Final = 4
 AXLE_M: Final = 2.5
-"""Between two axles: a stretch begins for one after the other."""
+"""Distance between two axles, which reach a stretch one after the other."""
 DRY: Final = RAILS["dry"]
 WET: Final = RAILS["wet"]._replace(mu_0=0.16)
-"""Peak 0.12: below what is asked, which Polach's own wet rail is not."""
+"""Peak 0.12: below the traction coefficient demanded; Polach's own wet rail is above it."""
 SOAP: Final = Rail(0.12, 0.45, 0.25, 0.30, 0.12)
 LEAVES: Final = RAILS["leaves"]
 SPREAD: Final = (0.85, 1.15)
-"""Friction of a seeded track, over the library's."""
+"""Range of a seeded track's friction, relative to the library's."""
 NEVER: Final = -1
 """No axle."""
 
@@ -31,10 +31,10 @@ NEVER: Final = -1
 class Track(NamedTuple):
     """One run of the bench.
 
-    stretches: from how many metres of the train's way on which rail; wheel: diameters over the
-    nominal one; stuck: the axle whose torque obeys nobody, cut_out: the one without any, from 0;
-    film_j: sliding work, J for a kilogram on the wheel, that takes 63 % of the film away, None:
-    nothing does; asked: traction coefficient that the brake asks for.
+    stretches: (start along the track in m, rail); wheel: diameters relative to the nominal one;
+    stuck: the axle (from 0) whose torque ignores the controller, cut_out: the one without torque;
+    film_j: sliding work, in J per kg of wheel load, that removes 63 % of the film, None: nothing
+    removes it; asked: traction coefficient that the brake demands.
     """
 
     name: str
@@ -46,10 +46,10 @@ class Track(NamedTuple):
     film_j: float | None = None
     asked: float = 0.15
     of_peak: float | None = None
-    """Asked: this share of what the rail carries at its peak, at every speed."""
+    """If given, the brake demands this share of the rail's peak at every speed, not `asked`."""
 
     def rail_at(self, way_m: float) -> Rail:
-        """The rail at this place."""
+        """The rail at this position."""
         return next(rail for start, rail in reversed(self.stretches) if way_m >= start)
 
 
@@ -74,7 +74,7 @@ LIBRARY: Final[dict[str, Track]] = {
 
 
 def held(of_peak: float, seed: int = 0) -> Track:
-    """Asked is this share of what a wet rail carries, at every speed; friction by the seed."""
+    """A wet track, its friction drawn by seed, on which the demand is a share of the peak."""
     rng = np.random.default_rng([seed, round(1000 * of_peak)])
     rail = WET._replace(mu_0=WET.mu_0 * float(rng.uniform(*SPREAD)))
     return Track(f"held_{of_peak:g}", f"{100 * of_peak:g} % of the peak", _one(rail),
@@ -82,7 +82,7 @@ def held(of_peak: float, seed: int = 0) -> Track:
 
 
 def seeded(seed: int) -> Track:
-    """A track of three stretches with friction, places, rails and wheels by the seed."""
+    """A track of three stretches with friction, positions, rails and wheels drawn by seed."""
     rng = np.random.default_rng([seed, 15595])
     kinds = [(WET, SOAP, LEAVES)[k] for k in rng.choice(3, 3, replace=False)]
     places = (-np.inf, float(rng.uniform(15.0, 30.0)), float(rng.uniform(40.0, 60.0)))

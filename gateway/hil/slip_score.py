@@ -14,21 +14,21 @@ from gateway.hil.slip_rails import Track
 Array = NDArray[np.float64]
 STEP_S: Final = 0.01
 SLIDES: Final = 1.05
-"""Creep over the rail's best from which on a wheel is lost in the truth."""
+"""Creep relative to the rail's best above which a wheel slides in the ground truth."""
 TOUCHED: Final = 0.98
-"""A limit below it is an intervention."""
+"""A limit below this is an intervention."""
 LOST: Final = 2
 SOON_S: Final = 0.5
-"""An intervention is false where its wheel was not asked for more than the rail carries, and did
-not slide, for so long."""
+"""An intervention is false if for this time before it the rail could carry the demand and the wheel
+did not slide."""
 
 
 class Score(NamedTuple):
-    """Of one run, all axles that obey or the worst of them; delays also of one that is stuck.
+    """Score of one run over all controlled axles, or the worst; delays also of a stuck axle.
 
     utilisation: work of the brakes over what rail and demand allowed, 0..1; locked_s: the
-    longest time of an axle; false_interventions: how many; delay_s: from the onset of sliding to
-    the first cut or flag, median, NaN where nothing slid.
+    longest time of an axle; false_interventions: their number; delay_s: from the onset of sliding
+    to the first cut or flag, median, NaN if no wheel slid.
     """
 
     utilisation: float
@@ -46,7 +46,7 @@ class Score(NamedTuple):
 
 
 def score(track: Track, moments: Sequence[Moment]) -> Score:
-    """Of all from the end of the rise on. Raises ValueError for a run that ends before it."""
+    """Score the moments after the brake's rise. Raises ValueError for a run that ends before."""
     run = [m for m in moments if m.t_s >= LEAD_IN_S + RISE_S]
     if not run:
         raise ValueError("the run ends before the brake is applied")
@@ -76,12 +76,12 @@ def score(track: Track, moments: Sequence[Moment]) -> Score:
 
 
 def onsets(active: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Indices at which (n,) turns true."""
+    """Indices at which `active` (n,) becomes true."""
     return np.flatnonzero(active & ~np.concatenate([[False], active[:-1]]))
 
 
 def _false(acts: NDArray[np.bool_], needed: NDArray[np.bool_]) -> int:
-    """Interventions of an axle without need in the time before them."""
+    """Number of an axle's interventions that were not needed in `SOON_S` before them."""
     before = round(SOON_S / STEP_S)
     return sum(not needed[max(k - before, 0) : k + 1].any() for k in onsets(acts))
 
@@ -89,7 +89,7 @@ def _false(acts: NDArray[np.bool_], needed: NDArray[np.bool_]) -> int:
 def _delays(slides: NDArray[np.bool_], acts: NDArray[np.bool_]) -> list[float]:
     """Times from each onset of sliding to the next intervention, s; without one, to the end.
 
-    0 for an axle that is cut already.
+    0 for an axle that is cut or flagged already.
     """
     after = [acts[at:] for at in onsets(slides)]
     return [STEP_S * float(a.argmax() if a.any() else len(a)) for a in after]

@@ -1,8 +1,8 @@
-"""A synthetic loss of adhesion through a configuration: whether and when it is found.
+"""A synthetic loss of adhesion, to check whether and when a configuration detects it.
 
-Each drive is simulated with its own motor at a steady speed and load at which it can be judged, on
-the virtual clock. At a known time one drive's load halves. The configuration's own gateway (its
-detector, times, noise, DBC, rate, motors and mapped inverters) reads the frames.
+Each drive is simulated with its own motor on the virtual clock, at a steady speed and load at which
+its adhesion can be known. At a known time one drive's load halves. The configuration's own gateway
+(its detector, times, noise, DBC, rate, motors and mapped inverters) reads the frames.
 """
 
 from __future__ import annotations
@@ -36,25 +36,25 @@ if TYPE_CHECKING:
 
 DEPTH: Final = 0.5
 LOAD: Final = 0.6
-"""Of what rated current and rated torque allow."""
+"""Share of the torque that rated current and rated torque allow."""
 WITHIN_NS: Final[Nanos] = SECOND
 SETTLE_NS: Final[Nanos] = 3 * SECOND // 2
-"""Before the loss, and the time that good evidence must hold: filters start, ratios are learnt."""
+"""Time before the loss, on top of `good_ms`: filters start and load ratios are learnt."""
 CHUNK_NS: Final[Nanos] = 100 * MS
 SPEED_RAD_S: Final = 100.0
-"""Electrical, where the samples and `min_speed_rad_s` allow it."""
+"""Electrical speed, if the samples and `min_speed_rad_s` allow it."""
 SAMPLES_PER_TURN: Final = 15
-"""Fewer are not needed to choose a speed; ten is where the filters stop to follow by currents."""
+"""Fewest samples per electrical turn at the chosen speed; below ten the filters stop following."""
 NEEDS: Final = (
     ("no phase currents", ("PhaseCurrents", "Samples")),
     ("no voltages", ("StatorVoltages", "Samples")),
     ("no torque or command", ("Status",)),
 )
-"""What is missing without any of these kinds of messages: adhesion is then never known."""
+"""(lack, kinds of messages): without any of these kinds, adhesion is never known."""
 
 
 class Found(NamedTuple):
-    """What became of the loss on drive `node`.
+    """Result for the loss on drive `node`.
 
     after_ms: from the loss to `AdhesionLost`; None with a `problem`, which names the likely cause.
     """
@@ -65,7 +65,7 @@ class Found(NamedTuple):
 
 
 class _Alike(NamedTuple):
-    """Drives with one motor and the same messages; plans: of those that are mapped."""
+    """Drives with the same motor and messages; plans: those of its mapped drives."""
 
     nodes: tuple[int, ...]
     motor: Motor
@@ -74,12 +74,12 @@ class _Alike(NamedTuple):
 
 
 def missing(kinds: frozenset[str] | set[str]) -> list[str]:
-    """Why a drive with messages of these kinds can never be judged; empty where it can."""
+    """Why adhesion of a drive with these kinds of messages can never be known; empty if it can."""
     return [text for text, any_of in NEEDS if kinds.isdisjoint(any_of)]
 
 
 def never(config: Config, codec: Codec) -> dict[int, str]:
-    """Drives of which adhesion is never known, by node, and why. codec: as `foreign.fitted`."""
+    """Drives whose adhesion is never known, by node, and why. codec: from `foreign.fitted`."""
     kinds: dict[int, set[str]] = defaultdict(set)
     for spec in codec.messages:
         kinds[spec.node].add(spec.kind)
@@ -88,10 +88,10 @@ def never(config: Config, codec: Codec) -> dict[int, str]:
 
 
 def losses(config: Config, codec: Codec, measured: Measured | None = None) -> Iterator[Found]:
-    """A loss on one drive of every motor and kind of inverter, one after the other.
+    """Test a loss on one drive of every motor and kind of inverter, one after the other.
 
-    codec: of the configuration's DBC. measured: takes the time before the first of them. Raises
-    ConfigError as `Gateway` does, ValueError where the DBC's messages cannot be simulated.
+    codec: that of the configuration's DBC. measured: records the time before the first loss. Raises
+    ConfigError as `Gateway` does, ValueError if the DBC's messages cannot be simulated.
     """
     planned = foreign.plans(config)
     judged = [n for n in config.nodes if n not in never(config, foreign.fitted(codec, planned))]
@@ -114,7 +114,7 @@ def losses(config: Config, codec: Codec, measured: Measured | None = None) -> It
         except ScenarioError as error:
             yield Found(one.nodes[0], None, f"a motor of this train: {error.problems[0]}")
             continue
-        if measured is not None:  # a verdict may come before
+        if measured is not None:  # the verdict may come before the loss
             for _ in takewhile(lambda tick: tick[0] < begin, ticks):
                 pass
             measured = None
@@ -123,7 +123,7 @@ def losses(config: Config, codec: Codec, measured: Measured | None = None) -> It
 def _alike(
     config: Config, codec: Codec, planned: Sequence[Plan], judged: Sequence[int]
 ) -> list[_Alike]:
-    """Groups of drives that one simulation can move, in the order of their first drives."""
+    """Groups of drives that one simulation can drive, in the order of their first drives."""
     plans = {plan.node: plan for plan in planned}
     groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
     motors = {}
@@ -145,7 +145,7 @@ def _alike(
 
 
 def _wide(plans: Sequence[Plan], motor: Motor) -> Codec:
-    """Our message set with the cycles and the range of these mapped drives: what is translated."""
+    """Our message set with the cycle times and ranges of mapped drives, for translation."""
     ours = bind(shipped_dbc("traction.dbc"), [plan.node for plan in plans])
     sizes = {"Ia": motor.I_rated, "Ib": motor.I_rated, "Ic": motor.I_rated, "Irms": motor.I_rated,
              "Torque": motor.T_rated, "TorqueCommand": motor.T_rated,
@@ -169,7 +169,7 @@ def _wide(plans: Sequence[Plan], motor: Motor) -> Codec:
 
 
 def _speed(config: Config, alike: Sequence[_Alike]) -> float:
-    """Of all rotors, rad/s: what every drive can be judged at, if there is such a speed."""
+    """Speed of all rotors, rad/s, at which every drive's adhesion can be known, if there is one."""
     least, most = 0.0, math.inf
     for one in alike:
         sample = min(
@@ -185,9 +185,9 @@ def _speed(config: Config, alike: Sequence[_Alike]) -> float:
 
 
 class _Stream:
-    """What drives that are alike send, as far as somebody asked.
+    """Frames of a group of drives, simulated only as far as requested.
 
-    With `lost`, half of the load of the first of them is gone from `begin` on.
+    With `lost`, the first drive of the group loses half of its load at `begin`.
     """
 
     def __init__(
@@ -219,7 +219,7 @@ class _Stream:
         return self._make()
 
     def chunk(self, k: int, node: int) -> list[Frame]:
-        """Frames of that drive in the k-th 100 ms."""
+        """Frames of drive `node` in the k-th 100 ms, from 0."""
         while k >= len(self._chunks):
             frames = self._simulation.step((), (len(self._chunks) + 1) * CHUNK_NS)
             by_node: dict[int, list[Frame]] = {n: [] for n in self.nodes}
@@ -232,13 +232,13 @@ class _Stream:
 
 
 def _sender(codec: Codec, frame: Frame) -> int:
-    """Node of a drive's frame; CANopen's identifiers carry it."""
+    """Node of a drive's frame; identifiers of CANopen contain it."""
     spec = codec.by_id.get(frame.can_id)
     return frame.can_id & 0x7F if spec is None else spec.node
 
 
 def simulated(motor: Motor, speed: float, load: float) -> plant.Motor:
-    """The same motor for the simulator, with a dc link that holds this speed and load."""
+    """The motor for the simulator, with a DC link voltage sufficient for this speed and load."""
     w_e, i_q = motor.pole_pairs * speed, load / (motor.torque_nm / motor.I_rated)
     link = max(4.0 * motor.voltage(w_e, i_q), math.sqrt(4.0 * load * speed), 24.0)
     return plant.Motor(**motor.model_dump(), U_dc=link)
@@ -251,7 +251,7 @@ def _ticks(
     begin: Nanos,
     measured: Measured | None,
 ) -> Iterator[tuple[Nanos, Sequence[DriveView]]]:
-    """The gateway over what was sent: every tick until a loss at `begin` should have been found."""
+    """Run the gateway on the frames: (now, drives) of each tick until `WITHIN_NS` after `begin`."""
     gateway, period = Gateway(config, codec, 0), config.loop.period_ns
     waiting: list[Frame] = []
     for now in range(period, begin + WITHIN_NS + period, period):
@@ -274,7 +274,7 @@ def _judge(
     ticks: Iterator[tuple[Nanos, Sequence[DriveView]]],
     begin: Nanos,
 ) -> Found:
-    """What is said in these ticks of the loss of drive `node`, which begins at `begin`."""
+    """Result for a loss on drive `node` at `begin`, from the flags in these ticks."""
     place = config.nodes.index(node)
     most = 0.0
     for now, drives in ticks:
@@ -292,7 +292,7 @@ def _judge(
 
 
 def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
-    """A flag that nothing has lost."""
+    """Problem text for `AdhesionLost` of drives that have not lost adhesion."""
     when = f"{since_ms:.0f} ms after" if since_ms >= 0 else f"{-since_ms:.0f} ms before"
     a = config.adhesion
     return (
@@ -303,7 +303,7 @@ def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
 
 
 def _spread(config: Config, then: str = " or ") -> str:
-    """The key, of detectors that do not learn it."""
+    """The key `spread_nm` in words; empty for the detector that learns the spread."""
     a = config.adhesion
     return "" if a.detector == "switching" else f"adhesion.spread_nm = {a.spread_nm:g} Nm{then}"
 
@@ -314,7 +314,7 @@ def _unknown(view: DriveView, when: str) -> str:
 
 
 def _cause(view: DriveView, most: float, config: Config) -> str:
-    """Why a loss was not found: what is known at the end of it, the highest probability of it."""
+    """Why a loss was not found. view: at the end; most: highest loss probability since the loss."""
     a = config.adhesion
     signals = {drive.node: drive.signals for drive in config.drive}[view.node]
     if signals is not None and "TorqueCommand" not in signals.use:

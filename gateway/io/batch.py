@@ -1,6 +1,6 @@
 """Many frames by one system call: `recvmmsg`, with each frame's stamp and the drop counter.
 
-Buffers are made once; what is read is copied into a fresh block.
+Buffers are allocated once; received frames are copied into a fresh block.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from dbc.records import SOCKET_MESSAGE, SOCKET_VECTOR, pointer
 from gateway.io.wire import FD_SIZE
 
 CONTROL_SIZE: Final = 128
-"""Stamp and drop counter take 56 bytes with 64-bit words."""
+"""Bytes of control data per message; stamp and drop counter take 56 with 64-bit words."""
 NATIVE: Final = struct.calcsize("@l")
 _DONTWAIT: Final = 0x40
 
 
 class Batch:
-    """Room for so many messages; `read` fills on, `take` empties (`dbc/socketcan.c`).
+    """Buffers for messages: `read_from` appends, `to_block` empties (`dbc/socketcan.c`).
 
-    data, control and what is seen of the headers (control_sizes, sizes, flags) the kernel fills.
+    The kernel fills `data`, `control` and the header fields `control_sizes`, `sizes` and `flags`.
     """
 
     def __init__(self, capacity: int) -> None:
-        """room: messages."""
+        """capacity: most messages between two calls of `to_block`."""
         self.capacity = capacity
         self.filled = 0
         self._counts: Any = ffi.new("struct socket_counts *")
@@ -53,7 +53,7 @@ class Batch:
         self.sizes: NDArray[np.uint32] = self._messages["size"]
         self.control_sizes: NDArray[np.uint64] = head["control_size"]
         self.flags: NDArray[np.int32] = head["flags"]
-        # To look an address up takes as long as the system call.
+        # Kept, as looking up an array's address takes as long as the system call.
         self._first = self._messages.ctypes.data
         self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
         self._call.argtypes = (
@@ -63,18 +63,18 @@ class Batch:
 
     @property
     def full(self) -> bool:
-        """Nothing more can be read before `take`."""
+        """Whether nothing more can be read before `to_block`."""
         return self.filled == self.capacity
 
     def begin(self) -> None:
-        """A new socket: its drop counter starts at 0."""
+        """Start with a new socket, whose drop counter starts at 0."""
         self._counts.drops_seen = 0
 
     def read_from(self, descriptor: int) -> bool:
-        """Read what waits. OSError as `recvmsg` raises it; BlockingIOError if nothing waits.
+        """Read the waiting messages. OSError as from `recvmsg`; BlockingIOError if there are none.
 
-        True if there is room left: nothing waits any more, or there was an error, which the kernel
-        then keeps (`SO_ERROR`).
+        True if room is left: either no more messages are waiting, or an error ended the call and
+        the kernel keeps it (`SO_ERROR`).
         """
         wanted = self.capacity - self.filled
         at = self._first + self.filled * SOCKET_MESSAGE.itemsize
@@ -88,11 +88,11 @@ class Batch:
     def to_block(
         self, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos, name: str
     ) -> tuple[Block, int, int, int]:
-        """What was read, as frames of interface `name`, and room for more.
+        """Return the messages read as frames of interface `name`, and empty the buffers.
 
-        real_ns, now_ns, bound_ns: as for `transport.monotonic_stamp`. With the block come the
-        numbers of messages that were no frames, of error frames, and of frames that the kernel has
-        dropped meanwhile.
+        real_ns, now_ns, bound_ns: as for `transport.monotonic_stamp`. Returns (block, number of
+        messages that were no frames, of error frames, of frames that the kernel has dropped since
+        the last call).
         """
         n, counts, clock, rows = self.filled, self._counts, self._clock, self._rows
         block = Block(

@@ -1,4 +1,4 @@
-"""Options to a bus: our own raw socket for SocketCAN, python-can for everything else."""
+"""Open a bus from options: the gateway's own raw socket for SocketCAN, else python-can."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BUS_KEYS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", 
 
 
 def bus_options(options: Namespace | Mapping[str, Any]) -> dict[str, Any]:
-    """The bus part of parsed arguments (python-can's `add_bus_arguments`) or of a mapping."""
+    """The bus options of parsed arguments (python-can's `add_bus_arguments`) or of a mapping."""
     given = dict(vars(options)) if isinstance(options, Namespace) else dict(options)
     chosen = {key: given[key] for key in _BUS_KEYS if given.get(key) is not None}
     return {**chosen, **(given.get("bus_kwargs") or {})}
@@ -25,9 +25,9 @@ def bus_options(options: Namespace | Mapping[str, Any]) -> dict[str, Any]:
 def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None = None) -> Transport:
     """Make and open the transport that the options name.
 
-    Where interface or channel are missing, python-can's own sources decide (`CAN_INTERFACE`,
-    `can.conf` ..). Without `allow` anything may be sent (simulated drives), late or not.
-    Raises ConfigError if no interface is named or an option cannot be meant.
+    If interface or channel is missing, python-can's own sources supply it (`CAN_INTERFACE`,
+    `can.conf` ..). Without `allow` any frame may be sent, even late (for simulated drives).
+    Raises ConfigError if no interface is named or an option cannot be used.
     """
     chosen = bus_options(options)
     if "interface" not in chosen or "channel" not in chosen:

@@ -1,8 +1,8 @@
 """The gateway as CANopen node 32: own heartbeat, own emergencies, and NMT start if it is master.
 
-Pure logic, stepped by the loop that sends the flags, so a hung loop has no heartbeat either.
-No SDO server and no SDO client: nobody can write to the gateway, and it writes to nobody.
-CiA 301 for the formats; a test compares them with those of the `canopen` package.
+Pure logic, stepped by the loop that sends the flags, so a hung loop sends no heartbeat either.
+There is no SDO server and no SDO client: nobody can write to the gateway, and it writes to nobody.
+The formats are those of CiA 301; a test compares them with those of the `canopen` package.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ log = logging.getLogger(__name__)
 
 HEARTBEAT_NS: Nanos = 100 * MS
 EMCY_INHIBIT_NS: Nanos = 20 * MS
-"""Least time between two of our emergencies: a flapping fault cannot fill the bus."""
+"""Shortest time between two of the gateway's emergencies: a flapping fault cannot fill the bus."""
 START_REPEAT_NS: Nanos = SECOND
-"""Pause before a drive that is still pre-operational is told again to start."""
+"""Pause before the NMT start to a drive that is still pre-operational is repeated."""
 LISTEN_NS: Nanos = 200 * MS
 """Time of listening for another master before the first NMT command."""
 
 _BOOT_UP, _OPERATIONAL, _PRE_OPERATIONAL = b"\x00", b"\x05", b"\x7f"
-"""States, as heartbeats carry them."""
+"""NMT states, as heartbeats carry them."""
 _START: Final = 1
 _EMCY: Final = Struct("<HB5s")
-"""Error code, error register, five bytes of the maker's."""
+"""Error code, error register, five manufacturer-specific bytes."""
 
 
 class GatewayError(IntEnum):
@@ -41,12 +41,12 @@ class GatewayError(IntEnum):
     OVERRUN = 0x6100  # internal software: a tick of the loop was missed
     CONFIGURATION = 0x6320  # parameter error
     COMMUNICATION = 0x8130  # heartbeat, protection or silence of a drive
-    INTRUDER = 0x8150  # somebody else transmits with our identifiers
+    INTRUDER = 0x8150  # another node sends the gateway's identifiers
     SENSOR = 0x5030  # sensor hardware
-    ESTIMATOR = 0xFF01  # maker specific: an estimator diverged
+    ESTIMATOR = 0xFF01  # manufacturer-specific: an estimator diverged
 
 
-_REGISTER_BIT = {0x50: 0x20, 0x81: 0x10, 0xFF: 0x80}  # device profile, communication, maker
+_REGISTER_BIT = {0x50: 0x20, 0x81: 0x10, 0xFF: 0x80}  # device profile, communication, manufacturer
 _GENERIC = 0x01
 
 
@@ -59,7 +59,7 @@ def error_register(codes: Iterable[int]) -> int:
 
 
 def meant(block: Block) -> list[Frame]:
-    """The frames of a block that a `CanopenNode` listens to: NMT commands and heartbeats."""
+    """The frames of a block that a `CanopenNode` evaluates: NMT commands and heartbeats."""
     service = block.can_id & 0x780
     wanted = (block.can_id == NMT_ID) | (service == HEARTBEAT_BASE)
     return list(block.pick(wanted).frames()) if wanted.any() else []
@@ -69,7 +69,10 @@ class CanopenNode:
     """Node 32: heartbeat every 100 ms, emergencies on change, NMT start only when master."""
 
     def __init__(self, nodes: Iterable[int] = (), *, nmt_master: bool = False) -> None:
-        """Start the drives `nodes` if `nmt_master`; without it no NMT frame is ever made."""
+        """Start the drives `nodes` if `nmt_master`, else never make an NMT frame.
+
+        Raises ValueError for node 0, the broadcast address.
+        """
         self._master = nmt_master
         self._drive_of = {HEARTBEAT_BASE + node: node for node in nodes}
         if 0 in self._drive_of.values():
@@ -80,9 +83,9 @@ class CanopenNode:
         self._next_emcy_ns: Nanos = 0
         self._errors: frozenset[int] = frozenset()
         self._announced: frozenset[int] = frozenset()
-        self._waiting: dict[int, Nanos] = {}  # pre-operational drive -> when to tell it (again)
+        self._waiting: dict[int, Nanos] = {}  # pre-operational drive -> time of its next start
         self.another_master = False
-        """True for good once an NMT command was heard: from then on we send none."""
+        """True for good once an NMT command was received: from then on the gateway sends none."""
         self.nmt_received = 0
         self.starts_sent = 0
         self.starts_refused = 0
@@ -90,7 +93,7 @@ class CanopenNode:
         self.emcy_sent = 0
 
     def set_errors(self, codes: Collection[int]) -> None:
-        """State which errors are active now; changes are announced by the next steps."""
+        """Set the errors that are active now; the next steps announce the changes."""
         if codes != self._errors:
             self._errors = frozenset(codes)
 
@@ -149,7 +152,7 @@ class CanopenNode:
         appeared = sorted(self._errors - self._announced)
         if appeared:
             code = appeared[0]
-            # Errors that went while others stay are dropped unsaid (optional in CiA 301).
+            # Errors that ended while others remain are dropped without a frame (CiA 301: optional).
             self._announced = (self._announced & self._errors) | {code}
         elif self._errors:
             self._announced = self._errors

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 _SHOWN_BY_RICH: Final = frozenset({"FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS"})
-"""Variables that change what it does where there is no terminal."""
+"""Environment variables that change what rich does without a terminal."""
 
 
 def console() -> Console:
@@ -27,12 +27,13 @@ def console() -> Console:
 
 
 def note(text: str, *, wrap: bool = False) -> None:
-    """A line on stderr. Where no terminal is asked to show it, it needs no rich to look the same.
+    """Write a line to stderr. Without a terminal, a plain line looks the same without rich.
 
-    wrap: at the width of the terminal, or at 80 columns.
+    wrap: wrap at the width of the terminal, or at 80 columns.
     """
     fits = not wrap or len(text) < 80
-    plain = text.isascii() and text.isprintable() and text.count(":") < 2  # of emoji
+    # Two colons may enclose the name of an emoji.
+    plain = text.isascii() and text.isprintable() and text.count(":") < 2
     if fits and plain and not sys.stderr.isatty() and not _SHOWN_BY_RICH & os.environ.keys():
         sys.stderr.write(text + "\n")
     else:

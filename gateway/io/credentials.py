@@ -1,7 +1,8 @@
 """Keys and the number of this start, from files that only their owner may read.
 
-A credential of the service manager (`LoadCredential=`, in `$CREDENTIALS_DIRECTORY`) comes first,
-else a file beside the configuration. What a key file contains is never said or logged.
+A credential of the service manager (`LoadCredential=`, in `$CREDENTIALS_DIRECTORY`) takes
+precedence over a file beside the configuration. The contents of a key file are never shown or
+logged.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _KEY_BYTES: Final = 16
 
 
 def flag_authenticator(config: Config) -> Authenticator | None:
-    """The sender's side as configured, with a start number of its own; None without the section.
+    """The authenticator of sent flags, with a new start number; None if not configured.
 
     Raises ConfigError for a key or a count of starts that cannot be used.
     """
@@ -51,7 +52,10 @@ def flag_key(name: str, base: Path) -> bytes:
 
 
 def private_file(name: str, base: Path) -> tuple[Path, bytes]:
-    """(path, content) of a credential, or of a file only for its owner. Raises ConfigError."""
+    """(path, content) of a credential, or of a file that only its owner may access.
+
+    Raises ConfigError.
+    """
     given = os.environ.get("CREDENTIALS_DIRECTORY")
     if given and Path(name).name == name and (credential := Path(given, name)).is_file():
         # The service manager guards the directory; modes in it may show access lists instead.
@@ -62,7 +66,7 @@ def private_file(name: str, base: Path) -> tuple[Path, bytes]:
 
 def _content(path: Path, *, private: bool) -> bytes:
     try:
-        # Opened once: what is looked at is what is read.
+        # Opened once, so that the file that is checked is the file that is read.
         with open(path, "rb", opener=_opener) as file:
             about = os.fstat(file.fileno())
             problems = [] if stat.S_ISREG(about.st_mode) else ["is not a regular file"]
@@ -79,12 +83,12 @@ def _content(path: Path, *, private: bool) -> bytes:
 
 
 def _opener(path: str, flags: int) -> int:
-    # Not to hang on a pipe that somebody has put there.
+    # O_NONBLOCK, so that opening a FIFO put in place of the file does not hang.
     return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
 
 
 def trip_path(chosen: Authentication, base: Path) -> Path:
-    """Where starts are counted: the service's state directory if there is one."""
+    """The file that counts starts: in the service's state directory if any, else in `base`."""
     given = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(given, chosen.trip) if given else base / chosen.trip
 
@@ -92,15 +96,15 @@ def trip_path(chosen: Authentication, base: Path) -> Path:
 def next_trip(path: Path) -> int:
     """The number of this start, on disk before it is used. Raises ConfigError.
 
-    A number that came twice would give an eavesdropper MACs of the future, so a file that cannot
-    be read, or that does not hold a number, is no reason to begin again at 1.
+    If a number were used twice, an eavesdropper would already have valid MACs. So a file that
+    cannot be read, or that does not hold a number, is an error and does not restart at 1.
     """
     try:
         new = not path.exists()
         with open(path, "r+b", opener=_counting) as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             number = _after(path, file.read(64), new=new)
-            # In place and of fixed width: a power cut leaves the old digits or the new.
+            # In place and of fixed width, so that a power cut leaves the old digits or the new.
             os.pwrite(file.fileno(), f"{number:08d}\n".encode("ascii"), 0)
             os.ftruncate(file.fileno(), 9)
             os.fsync(file.fileno())
@@ -128,7 +132,7 @@ def _counting(path: str, flags: int) -> int:
 
 
 def _sync_folder(folder: Path) -> None:
-    """The file's name, too, has to outlive a power cut."""
+    """Sync a folder, so that the name of a new file survives a power cut as well."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)

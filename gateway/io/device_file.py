@@ -1,6 +1,6 @@
-"""What a CANopen drive sends, by its EDS or DCF: heartbeat and PDOs.
+"""What a CANopen drive sends according to its EDS or DCF: heartbeat and PDOs.
 
-A file is read as far as it can be, and what cannot be is listed. May know: files. May not know:
+A file is read as far as possible, and its faulty parts are listed. May know: files. May not know:
 buses, clocks.
 """
 
@@ -16,16 +16,16 @@ from gateway.settings.config import ConfigError
 HEARTBEAT: Final = 0x1017
 TPDOS: Final = range(0x1800, 0x1A00)
 MAPPING: Final = 0x200
-"""From a PDO's communication to its mapping."""
+"""Offset from the index of a PDO's communication parameters to that of its mapping."""
 MOST_MAPPED: Final = 64
-"""Objects in a PDO (CiA 301)."""
+"""Most objects in a PDO (CiA 301)."""
 LONGEST_MS: Final = 0xFFFF
 _UNUSED: Final = 1 << 31
 _LISTS: Final = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 
 
 class Mapped(NamedTuple):
-    """An object in a PDO: first bit, bits, its index and subindex, and its name in the file."""
+    """An object in a PDO: first bit, number of bits, index, subindex, and its name in the file."""
 
     start: int
     length: int
@@ -35,7 +35,7 @@ class Mapped(NamedTuple):
 
 
 class Pdo(NamedTuple):
-    """A TPDO that is in use. number: from 1; can_id: with the node's number."""
+    """A TPDO that is in use. number: from 1; can_id: the node id is included."""
 
     number: int
     can_id: int
@@ -43,10 +43,10 @@ class Pdo(NamedTuple):
 
 
 class Device(NamedTuple):
-    """What a file says.
+    """Contents of an EDS or DCF.
 
-    node: of a DCF, or None; heartbeat_ms: 0 is none, None: not known; heartbeat_fault: what stands
-    there instead of a number of ms; faults: what of the file is left out, and why.
+    node: node id of a DCF, or None; heartbeat_ms: period, 0: no heartbeat, None: not known;
+    heartbeat_fault: why the period cannot be read; faults: parts of the file left out, and why.
     """
 
     name: str
@@ -58,9 +58,9 @@ class Device(NamedTuple):
 
 
 def device_of(path: Path, node: int | None = None) -> Device:
-    """Of an EDS or DCF, plain or gzip. node: for the identifiers, where the file has none.
+    """Read an EDS or DCF, plain or gzip. node: the node id for identifiers if the file has none.
 
-    Raises ConfigError for what cannot be read.
+    Raises ConfigError if the file cannot be read or holds no object.
     """
     try:
         text, cut = text_of(read_bytes(path))
@@ -89,7 +89,7 @@ def device_of(path: Path, node: int | None = None) -> Device:
 
 
 def _node_of(eds: EdsText) -> tuple[int | None, list[str]]:
-    """Of `[DeviceComissioning]`, which the standard spells so; also in hexadecimal."""
+    """Node id of `[DeviceComissioning]` (the standard's spelling), also hexadecimal; and faults."""
     found = eds.get("DeviceComissioning", "NodeID") or eds.get("DeviceCommissioning", "NodeID")
     if found is None or not found.text:
         return None, []
@@ -100,7 +100,7 @@ def _node_of(eds: EdsText) -> tuple[int | None, list[str]]:
 
 
 def _missing(eds: EdsText) -> list[str]:
-    """Objects that the lists name and the file does not have: it was cut, or they are damaged."""
+    """Objects that the lists name but the file lacks: it was truncated, or they are damaged."""
     named = [value for name in _LISTS for key, value in eds.sections.get(name.lower(), {}).items()
              if key.isdecimal()]  # fmt: skip
     indexes = [number_of(value.text, 0) for value in named]
@@ -113,7 +113,7 @@ def _missing(eds: EdsText) -> list[str]:
 
 
 def _heartbeat(eds: EdsText) -> tuple[int | None, str]:
-    """Its period in ms, or None; what stands there instead."""
+    """Heartbeat period in ms, or None; and what is wrong with its value."""
     found = eds.configured(HEARTBEAT)
     if found is None:
         fault = "has no value" if HEARTBEAT in eds.objects else ""
@@ -125,7 +125,7 @@ def _heartbeat(eds: EdsText) -> tuple[int | None, str]:
 
 
 def _pdo(eds: EdsText, number: int, index: int, node: int) -> tuple[Pdo | None, list[str]]:
-    """A TPDO, or None if it is not in use or its identifier cannot be read; what is wrong."""
+    """A TPDO, or None if it is not in use or its identifier cannot be read; and its faults."""
     found = eds.configured(index, 1)
     if found is None:
         return None, [f"TPDO{number} is left out: [{index:04X}sub1] has no value"]
@@ -139,13 +139,13 @@ def _pdo(eds: EdsText, number: int, index: int, node: int) -> tuple[Pdo | None, 
 
 
 def _mapped(eds: EdsText, index: int, node: int) -> tuple[tuple[Mapped, ...], list[str]]:
-    """The objects of a PDO, up to the first that cannot be read: where others lie is not known."""
+    """The objects of a PDO before the first unreadable one, behind which positions are unknown."""
     first = eds.configured(index, 0)
     count = number_of(first.text, node) if first else 0
     if first and count is None:
         return (), [f"{_quoted(first)} is no number of objects"]
     if not count or not 0 <= count <= MOST_MAPPED:
-        return (), []  # 254 and 255: a PDO whose objects are named in itself
+        return (), []  # 254, 255: multiplexed PDOs, which name their object in the data
     out: list[Mapped] = []
     start = 0
     for k in range(1, count + 1):

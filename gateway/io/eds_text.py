@@ -1,6 +1,7 @@
 """The text of an EDS or DCF (CiA 306) as sections with keys, and its errors.
 
-Whatever is doubled or no key is left out and listed; the rest is read. May know: text.
+A repeated section or key, or a line that is neither, is left out and listed; the rest is read. May
+know: text.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ _LONGEST: Final = 40
 
 
 class Value(NamedTuple):
-    """What stands behind a key, and where: `[1800sub1] DefaultValue`."""
+    """Value of a key, and where the key is: `[1800sub1] DefaultValue`."""
 
     text: str
     where: str
 
 
 class EdsText:
-    """Sections and keys without regard to capitals; `faults` lists what was left out."""
+    """Sections and keys, case-insensitive; `faults` lists what was left out."""
 
     def __init__(self, text: str) -> None:
-        """Reads all of it."""
+        """Parse the whole text."""
         self.faults: list[str] = []
         self.sections: dict[str, dict[str, Value]] = {}
         self.objects: list[int] = []
@@ -67,11 +68,11 @@ class EdsText:
             keys[key.lower()] = Value(text, where)
 
     def get(self, section: str, key: str) -> Value | None:
-        """None if there is no such section or key."""
+        """Value of a key; None if there is no such section or key."""
         return self.sections.get(section.lower(), {}).get(key.lower())
 
     def configured(self, index: int, subindex: int | None = None) -> Value | None:
-        """What a DCF has configured for an object, else the default; None if neither is there."""
+        """Value that a DCF configures for an object, else the default; None if there is neither."""
         section = f"{index:04x}"
         compact = None
         if subindex is not None:
@@ -83,16 +84,16 @@ class EdsText:
         return self.get(section, "DefaultValue") or compact or configured
 
     def name_of(self, index: int, subindex: int) -> str:
-        """Of an object, and of its part if it has several; empty if the file does not have it."""
+        """Name of an object, and of its sub-object if there is one; empty if not in the file."""
         found = [self.get(f"{index:04x}{part}", "ParameterName")
                  for part in ("", f"sub{subindex:x}")]  # fmt: skip
         return ": ".join(value.text for value in found if value and value.text)
 
 
 def text_of(data: bytes) -> tuple[str, list[str]]:
-    """Of a file, plain or gzip, and what is wrong with it.
+    """Text of a file, plain or gzip, and its faults.
 
-    Raises ValueError for gzip that cannot be unpacked.
+    Raises ValueError for gzip that cannot be unpacked or is too large.
     """
     if not data.startswith(_GZIP):
         return decoded(data), []
@@ -109,7 +110,7 @@ def text_of(data: bytes) -> tuple[str, list[str]]:
 
 
 def number_of(text: str, node: int) -> int | None:
-    """`384`, `0x180`, `180h`, `0600`, `$NODEID+0x180`, with parentheses; None for anything else."""
+    """Value of `384`, `0x180`, `180h`, `0600`, `$NODEID+0x180`, also in parentheses; else None."""
     words = text.upper().replace(" ", "").replace("(", "").replace(")", "").split("+")
     numbers = [node if word == _NODE else _word_value(word) for word in words]
     known = [number for number in numbers if number is not None]
@@ -125,6 +126,6 @@ def _word_value(word: str) -> int | None:
         return sign * int(found[1] or found[2], 16)
     if not word.isdecimal():
         return None
-    # With a 0 in front it is octal (CiA 306).
+    # A number with a leading 0 is octal (CiA 306).
     octal = word.startswith("0") and re.fullmatch(r"[0-7]+", word)
     return sign * int(word, 8 if octal else 10)

@@ -1,9 +1,9 @@
-"""Ends of a program from outside: Ctrl-C, SIGTERM, a reader that has closed its pipe.
+"""How a program is ended from outside: Ctrl-C, SIGTERM, a reader that has closed its pipe.
 
-A signal is noted and raised between two steps of Python; a compiled call is finished first. Some
-places swallow the exception: finalisers, callbacks of libraries, a bare `except`. A thread notices
-that the main thread works on without handling it, and sends the signal again. The note decides the
-exit code.
+A signal is recorded and raised as an exception between two Python bytecodes; a compiled call
+finishes first. Finalisers, library callbacks and a bare `except` can swallow the exception. A
+thread detects that the main thread carries on without handling it, and sends the signal again. The
+recorded signal decides the exit code.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from types import FrameType
 from typing import Final, NoReturn, TextIO
 
 OF_A_SIGNAL: Final = 128
-"""Exit code of a program that signal n has ended, less n, as shells have it."""
+"""Added to the number of the signal that ended a program, gives its exit code, as in shells."""
 BROKEN_PIPE: Final = OF_A_SIGNAL + 13
-"""As SIGPIPE, which Python ignores; systems without it have no number for it."""
+"""As after SIGPIPE, which Python ignores. The 13 is literal: not every system defines SIGPIPE."""
 LOOK_S: Final = 0.05
-"""Time between two looks at whether the main thread handles the exception."""
+"""Time between two checks of whether the main thread is handling the exception."""
 LOOKS: Final = 5
-"""After so many looks in a row at which it does not, the exception was swallowed."""
+"""Checks in a row without handling, after which the exception counts as swallowed."""
 _KINDS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 class Ended(KeyboardInterrupt):
-    """A signal asks the program to end; libraries know what to do at Ctrl-C."""
+    """A signal asks the program to end. A KeyboardInterrupt, because libraries handle Ctrl-C."""
 
     def __init__(self, number: int) -> None:
-        """number: of the signal."""
+        """number: the signal's number."""
         self.number = number
         super().__init__(signal.Signals(number).name)
 
@@ -44,23 +44,24 @@ class Ended(KeyboardInterrupt):
 
 
 def ended_by(error: KeyboardInterrupt) -> Ended:
-    """The same with its number; what Python itself has raised is Ctrl-C."""
+    """The same exception with its signal number; one that Python itself raised is SIGINT."""
     return error if isinstance(error, Ended) else Ended(signal.SIGINT)
 
 
 class Note:
-    """The first signal, if one has come."""
+    """The first signal received, if any."""
 
     def __init__(self) -> None:
-        """None yet."""
+        """Start without a signal."""
         self.ended: Ended | None = None
 
 
 @contextmanager
 def raised() -> Iterator[Note]:
-    """SIGINT and SIGTERM raise `Ended` meanwhile; what was ignored before stays ignored.
+    """Raise `Ended` on SIGINT and SIGTERM inside the `with`; an ignored signal stays ignored.
 
-    A second one is raised as well: it ends what tidies up. Does nothing outside the main thread.
+    A second signal is raised as well, and so ends the clean-up that the first one started. Does
+    nothing outside the main thread.
     """
     note = Note()
     if threading.current_thread() is not threading.main_thread():
@@ -102,13 +103,13 @@ def raised() -> Iterator[Note]:
 def _insist(
     thread: int, number: int, closed: threading.Event, before: BaseException | None
 ) -> None:
-    """Send the signal again whenever `thread` has handled no exception for `LOOKS` looks.
+    """Send the signal again whenever `thread` has not been handling it for `LOOKS` checks.
 
-    before: what it was handling before the signal.
+    before: the exception that it was already handling before the signal.
     """
     idle = 0
     while not closed.wait(LOOK_S):
-        # What tidies up after the exception (`finally`, `with`, `except`) is handling it.
+        # Clean-up code after the exception (`finally`, `with`, `except`) counts as handling it.
         idle = idle + 1 if _handled_by(thread) is before else 0
         if idle == LOOKS:
             signal.pthread_kill(thread, number)
@@ -116,24 +117,24 @@ def _insist(
 
 
 def _handled_by(thread: int) -> BaseException | None:
-    """The exception whose `except`, `finally` or `with` the thread is in."""
+    """The exception whose `except`, `finally` or `with` block the thread is in."""
     found = sys._current_exceptions().get(thread)  # noqa: SLF001 nothing public tells it
-    # Python 3.11 has a tuple as of `sys.exc_info`, later ones the exception.
+    # Python 3.11 gives a tuple as `sys.exc_info` does, later versions the exception.
     return found[1] if isinstance(found, tuple) else found
 
 
 def flush() -> None:
-    """Hand over what is still to be printed. Raises OSError, also for who reads it no longer."""
+    """Flush stdout and stderr. Raises OSError, also if the reader has closed the pipe."""
     for stream in (sys.stdout, sys.stderr):
-        if stream is not None:  # where a program was started without
+        if stream is not None:  # None if the program was started without it
             stream.flush()
 
 
 def leave(code: int) -> NoReturn:
-    """End the program with what was registered for its end, without taking its modules apart.
+    """Run the exit handlers and end the program without tearing down its modules.
 
-    Of a short command that takes a sixth of its time, and all it does is to give memory back. Where
-    other threads or processes still work, it ends as usual.
+    The teardown takes a sixth of the time of a short command, and only frees memory. If other
+    threads or processes are still working, the program ends in the usual way.
     """
     working = threading.active_count() > 1 or _children()
     if not working:
@@ -144,13 +145,13 @@ def leave(code: int) -> NoReturn:
 
 
 def _children() -> bool:
-    """Whether there are child processes; nobody has any who has not loaded `multiprocessing`."""
+    """Whether there are child processes; without `multiprocessing` loaded there are none."""
     loaded = sys.modules.get("multiprocessing")
     return bool(loaded and loaded.active_children())
 
 
 def silence() -> None:
-    """Print into nothing from now on: else Python complains of a broken pipe as it ends."""
+    """Send a stream whose pipe is broken to /dev/null, or Python reports the pipe as it ends."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:

@@ -12,7 +12,7 @@ _OF_EXTRA = re.compile(r"""^(?P<what>[^;]+?)\s*;\s*extra\s*==\s*["'](?P<extra>[^
 
 
 def how_to_install(extra: str) -> str:
-    """A command that brings what the extra names; it needs no index that has this program."""
+    """A command that installs an extra's packages, even if no index has this program."""
     from importlib.metadata import PackageNotFoundError, requires
 
     try:
@@ -25,14 +25,14 @@ def how_to_install(extra: str) -> str:
 
 
 def pictures(what: str) -> None:
-    """Raises ConfigError where no picture can be drawn. what: who needs them."""
+    """Raises ConfigError if pictures cannot be drawn. what: name of the feature that needs them."""
     need(("matplotlib",), "pictures", what)
 
 
 def need(modules: Sequence[str], extra: str, what: str = "") -> None:
-    """Raises ConfigError that says what to install where any of them is not there.
+    """Raises ConfigError, which says what to install, if one of `modules` is missing.
 
-    what: who needs it.
+    what: name of the feature that needs them.
     """
     missing = [name for name in modules if find_spec(name) is None]
     if missing:

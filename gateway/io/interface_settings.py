@@ -1,7 +1,7 @@
 """Settings of this machine that harm the gateway, each with the command that corrects it.
 
-Only looks: nothing is changed. A bench that needs none of it is told so, too: no real-time rights
-are no fault where nobody asks for a priority.
+Settings are only read, never changed. They are also listed on a bench that does not need them:
+missing real-time rights are no fault if no priority is requested.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PATIENCE_S: Final = 1.0
 
 
 class Finding(NamedTuple):
-    """One setting: what was looked at, what it is, and the cure where it is not as it should be."""
+    """One setting: its name, its value, and the command that corrects it (empty if it is right)."""
 
     what: str
     found: str
@@ -28,7 +28,7 @@ class Finding(NamedTuple):
 
 
 def number(path: Path) -> int | None:
-    """A whole number of /proc/sys; None where there is none."""
+    """The integer in a file of /proc/sys; None if it has none."""
     try:
         return int(path.read_text(encoding="ascii").split()[0])
     except (OSError, ValueError, IndexError):
@@ -36,7 +36,7 @@ def number(path: Path) -> int | None:
 
 
 def receive_buffer(proc: Path = PROC, *, privileged: bool | None = None) -> Finding:
-    """Whether the socket gets the room that it asks for; root takes it whatever the limit."""
+    """Whether the socket gets the buffer that it requests; for root the limit does not apply."""
     most = number(proc / "net/core/rmem_max")
     root = os.geteuid() == 0 if privileged is None else privileged
     if most is None:
@@ -62,7 +62,7 @@ def priority() -> Finding:
 
 
 def memory_lock() -> Finding:
-    """Whether memory can be locked for good: the program takes 60 MB."""
+    """Whether memory can be locked without a limit: the program takes 60 MB."""
     most, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if os.geteuid() == 0 or most == resource.RLIM_INFINITY:
         return Finding("locked memory", "no limit")
@@ -73,9 +73,9 @@ def memory_lock() -> Finding:
 
 
 def link(channel: str, bitrate: int = 0, data_bitrate: int = 0) -> list[Finding]:
-    """What the kernel says of a SocketCAN interface; rates as the configuration has them, 0: none.
+    """Settings of a SocketCAN interface, from one netlink request.
 
-    Asks once, over netlink.
+    bitrate, data_bitrate: as configured, bit/s; 0: not configured.
     """
     name = f"link {channel}"
     try:
@@ -92,7 +92,7 @@ def link(channel: str, bitrate: int = 0, data_bitrate: int = 0) -> list[Finding]
 
 
 def link_findings(channel: str, found: Facts, bitrate: int, data_bitrate: int) -> list[Finding]:
-    """The same of what is known of a link."""
+    """Settings of a link from an answer of netlink."""
     name = f"link {channel}"
     state = "up" if found.up else "down"
     words = [found.kind or "unknown kind", state, f"queue {found.queue}"]
@@ -115,5 +115,5 @@ def _ask(channel: str, patience_s: float = PATIENCE_S) -> Facts | None:
 
 
 def machine() -> list[Finding]:
-    """Everything that does not depend on the interface."""
+    """All settings that do not depend on the interface."""
     return [receive_buffer(), priority(), memory_lock()]

@@ -17,9 +17,9 @@ RECEIVE_BUFFER = 8 << 20
 
 _SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_RXQ_OVFL, _SO_MEMINFO = 33, 35, 40, 55
 _MEMINFO = struct.Struct("=8xI")
-"""Of linux/sock_diag.h: `SK_MEMINFO_WMEM_ALLOC`."""
+"""Picks `SK_MEMINFO_WMEM_ALLOC` of linux/sock_diag.h."""
 _FIRST_BAND = 6
-"""Highest priority that needs no privilege: before other programs' frames in the kernel's queue."""
+"""Highest priority without privilege: ahead of other programs' frames in the kernel's queue."""
 _CAN_RAW_ERR_FILTER = 2
 _SIOCGIFFLAGS, _SIOCGIFMTU, _SIOCGIFINDEX = 0x8913, 0x8921, 0x8933
 _IFF_UP = 1
@@ -27,7 +27,7 @@ _IFREQ = struct.Struct("16s24x")
 
 
 class Link(NamedTuple):
-    """What the kernel says of an interface."""
+    """Index, state and MTU of an interface, as the kernel reports them."""
 
     ifindex: int
     up: bool
@@ -59,7 +59,10 @@ class Kernel:
         return time.time_ns()
 
     def connect(self, channel: str, fd: bool, first: bool = False) -> RawSocket:
-        """A bound, non-blocking raw CAN socket, whose frames go `first`. Raises OSError."""
+        """A bound, non-blocking raw CAN socket. Raises OSError.
+
+        first: its frames go ahead of those of other programs in the kernel's queue.
+        """
         raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             raw.setblocking(False)
@@ -71,7 +74,7 @@ class Kernel:
                 raw.setsockopt(socket.SOL_SOCKET, socket.SO_PRIORITY, _FIRST_BAND)
             try:
                 raw.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER)
-            except OSError:  # not root: as much as net.core.rmem_max lets
+            except OSError:  # not root: as much as net.core.rmem_max allows
                 raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
             raw.bind((channel,))
         except OSError:
@@ -80,9 +83,9 @@ class Kernel:
         return raw
 
     def queued(self, raw: RawSocket) -> int:
-        """Memory of frames from this socket that no driver has taken yet, bytes.
+        """Memory of this socket's frames that no driver has taken yet, bytes.
 
-        0 where the kernel does not tell (before 4.12): frames then queue as they used to.
+        0 if the kernel does not report it (before 4.12): frames then queue without a limit here.
         """
         assert isinstance(raw, socket.socket)
         try:
@@ -104,9 +107,9 @@ class Kernel:
         return Link(answers[0], bool(answers[1] & _IFF_UP), answers[2])
 
     def read(self, raw: RawSocket, batch: Batch) -> bool:
-        """Read what waits. True: nothing waits any more; OSError, BlockingIOError as `Batch.read`.
+        """Read waiting frames; True if none is left. OSError, BlockingIOError as `Batch.read_from`.
 
-        To look for an error that has ended it early takes a quarter of the time of reading again.
+        Asking for an error that ended the call early takes a quarter of the time of a second read.
         """
         assert isinstance(raw, socket.socket)
         if not batch.read_from(raw.fileno()):
@@ -116,7 +119,7 @@ class Kernel:
         return True
 
     def wait(self, raw: RawSocket, timeout_ms: int) -> None:
-        """Wait until something can be read, at most so long."""
+        """Wait until something can be read, at most `timeout_ms`."""
         poll = select.poll()
         poll.register(raw.fileno(), select.POLLIN)
         poll.poll(timeout_ms)

@@ -1,12 +1,12 @@
 """State and settings of a CAN link, as the kernel reports them over netlink.
 
-Error frames tell of a change once, and may be lost, or may not be sent at all; this is the second
-witness, and it knows what no frame says: `restart-ms`, bit rates, the length of the queue.
+An error frame reports a change once, and may be lost or never be made; netlink is the second
+source, and has what no frame carries: `restart-ms`, bit rates, the length of the queue.
 
-The kernel answers under a lock that whoever sets up any link holds for as long as that takes. So a
-thread asks, and the loop only looks at what it has found: two system calls of 3 us there, and here
-0.1 ms to take an answer apart (by pyroute2) that differs from the one before.
-Nothing is ever changed by netlink here. Formats: rtnetlink(7), linux/can/netlink.h.
+The kernel answers under a lock, which setting up any link holds until it is done. So a thread asks
+(two system calls of 3 us), and the loop only reads the answer: it takes 0.1 ms (by pyroute2) to
+decode one that differs from the one before.
+This module never changes anything by netlink. Formats: rtnetlink(7), linux/can/netlink.h.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from dbc.frame import MS, SECOND, Nanos
 from gateway.io.wire import BusState
 
 ASK_NS: Final[Nanos] = 500 * MS
-"""Pause between two questions, unless somebody has a reason to ask at once."""
+"""Pause between two requests, unless `hurry` asks for one at once."""
 PATIENCE_S: Final = 1.0
 LONGEST_QUEUE: Final = 100
-"""Frames. The kernel's own length for a CAN controller is 10."""
+"""Frames; a longer queue is reported. The kernel's default for a CAN controller is 10."""
 RESTART_MS: Final = 100
-"""What the advice says: long enough not to take the bus from others."""
+"""Value that the advice recommends: long enough not to take the bus from others."""
 
 _GETLINK, _NEWLINK, _REQUEST = 18, 16, 1
 _IFNAME, _EXT_MASK, _SKIP_STATS = 3, 29, 8
@@ -43,7 +43,7 @@ _STATES: Final = {
 
 
 class Facts(NamedTuple):
-    """One answer."""
+    """State and settings of a link, as one answer gives them."""
 
     ifindex: int
     up: bool
@@ -51,7 +51,7 @@ class Facts(NamedTuple):
     kind: str
     """`can` has a controller; `vcan` and `vxcan` have none, and no bit rate."""
     state: BusState | None
-    """None without a controller, and while the link is down."""
+    """None without a controller, and if the driver reports none of `_STATES` (link down)."""
     restart_ms: int
     bitrate: int
     """bit/s; 0 if the driver does not say."""
@@ -61,7 +61,7 @@ class Facts(NamedTuple):
 
 
 def question(channel: str) -> bytes:
-    """RTM_GETLINK by name, without the statistics: answers are the same until something changes."""
+    """RTM_GETLINK by name, without statistics, so that answers differ only after a change."""
     name = channel.encode()[:15] + b"\0"
     body = _BODY.pack(0, 0, 0, 0, 0)
     body += _ATTRIBUTE.pack(4 + len(name), _IFNAME) + name + bytes(-len(name) % 4)
@@ -70,8 +70,8 @@ def question(channel: str) -> bytes:
 
 
 def facts(answer: bytes) -> Facts | None:
-    """An answer taken apart; None if it is none, such as "no such device"."""
-    # Loading it takes 0.1 to 0.2 s, which only those who open SocketCAN should pay.
+    """Decode an answer; None if it describes no link, such as "no such device"."""
+    # Loading pyroute2 takes 0.1 to 0.2 s, so it is loaded only where SocketCAN is opened.
     from pyroute2.netlink.rtnl.ifinfmsg import ifinfmsg
 
     if len(answer) < _HEAD.size or _HEAD.unpack_from(answer)[1] != _NEWLINK:
@@ -100,10 +100,10 @@ def facts(answer: bytes) -> Facts | None:
 
 
 def advice(channel: str, found: Facts, bitrate: int = 0, data_bitrate: int = 0) -> list[str]:
-    """What is set up so that the gateway will suffer, each with the command that cures it.
+    """Settings that harm the gateway, each with the command that corrects it.
 
-    bitrate, data_bitrate: what the gateway was told, bit/s; 0 if nothing. Empty for links without
-    a controller: they have none of this.
+    bitrate, data_bitrate: as configured for the gateway, bit/s; 0: not configured. Empty for links
+    without a controller, which have none of these settings.
     """
     if found.kind != "can":
         return []
@@ -132,7 +132,7 @@ def advice(channel: str, found: Facts, bitrate: int = 0, data_bitrate: int = 0) 
 
 
 class Links:
-    """Asks for one link, now and then, in a thread of its own."""
+    """Requests the state of one link, periodically, in a thread of its own."""
 
     def __init__(
         self,
@@ -141,7 +141,7 @@ class Links:
         data_bitrate: int = 0,
         clock: Callable[[], Nanos] = time.monotonic_ns,
     ) -> None:
-        """Nothing is asked before `start`. bitrate, data_bitrate: see `advice`."""
+        """Send no request before `start`. bitrate, data_bitrate: see `advice`."""
         self._channel = channel
         self._bit_rates = (bitrate, data_bitrate)
         self._question = question(channel)
@@ -164,7 +164,7 @@ class Links:
             self._ask(route)
         except OSError:
             return False
-        self.news()  # loads the library now and not in a tick, should the link be absent
+        self.news()  # loads pyroute2 now, not within a tick
         self._thread = threading.Thread(
             target=self._watch, args=(route,), daemon=True, name="links"
         )
@@ -176,7 +176,7 @@ class Links:
         self._wake.set()
 
     def news(self) -> tuple[Nanos, Facts | None]:
-        """When the newest answer was asked for, and what it says (None: no such link)."""
+        """Time of the newest answered request, and the answer (None: no such link)."""
         found = self._found
         if found[1] != self._seen[1]:
             self._facts = facts(found[1])
@@ -184,14 +184,14 @@ class Links:
         return found[0], self._facts
 
     def advice(self) -> list[str]:
-        """What to change of the link as it was found, if that has not just been said."""
+        """Advice for the link as last found; empty if it is the same as in the last call."""
         if self._facts is None:
             return []
         before, self._advice = self._advice, advice(self._channel, self._facts, *self._bit_rates)
         return [] if self._advice == before else self._advice
 
     def close(self) -> None:
-        """End the thread; should the kernel still make it wait, it ends by itself."""
+        """End the thread; if it is still waiting for the kernel, it ends by itself later."""
         self._ending = True
         self._wake.set()
         if self._thread is not None:
@@ -208,5 +208,5 @@ class Links:
             while not self._ending:
                 self._wake.wait(ASK_NS / SECOND)
                 self._wake.clear()
-                with contextlib.suppress(OSError):  # nothing new then: what is known gets old
+                with contextlib.suppress(OSError):  # then the last answer stays and ages
                     self._ask(route)

@@ -1,7 +1,7 @@
-"""The gateway on a bus in real time: drain, step, send, once per tick.
+"""The gateway on a bus in real time: receive, step, send, once per tick.
 
-Everything that is sent is sent from this loop and nothing is left to the kernel to repeat, so
-a hung loop stops its flags and its heartbeat within one period.
+All frames are sent from this loop, and none is left to the kernel to repeat, so a hung loop stops
+its flags and its heartbeat within one period.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gateway.io.transport import LinkState, SendResult, Status, Transport
 log = logging.getLogger(__name__)
 
 FAREWELL = 3
-"""Ticks with unknown flags before the gateway goes silent on purpose."""
+"""Ticks with unknown flags that are sent before the gateway stops on purpose."""
 INTRUDER = (
     "somebody else sends with the gateway's identifiers (a second gateway, or a log played with "
     "the frames of one). Flags are unknown until 10 s after the last such frame, unless [bus] "
@@ -36,8 +36,8 @@ INTRUDER = (
     "the other sender, then restart the gateway"
 )
 OLDEST = 2
-"""Ticks after which what a step has decided is not said any more: this process stood still between
-deciding and sending, and the next step knows better. A tick that is merely late still speaks."""
+"""Age in ticks above which a step's frames are not sent any more: the process stalled between
+deciding and sending, and the next step has newer values. A tick that only starts late does send."""
 TIMING_TICKS = 100
 """Ticks between two reports of timing to the core."""
 
@@ -47,25 +47,25 @@ class Core(Protocol):
 
     @property
     def decided_ns(self) -> Nanos | None:
-        """Reception of the newest sample that the last step's flags rest on."""
+        """Stamp of the newest sample that the last step's flags rest on; None before any."""
 
     def step(self, frames: Block, now_ns: Nanos, /) -> list[Frame]:
         """One tick."""
 
     @property
     def integrity(self) -> IntegrityMonitor:
-        """Takes notes before a step: ticks that were missed, frames that were lost."""
+        """Counts missed ticks and lost frames, which are reported to it before a step."""
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
-        """Say how long it is from frame to flag, and how late ticks start."""
+        """Take the latency from frame to flag and the lateness of ticks: 99th percentiles, us."""
 
     def unknown_frames(self, now_ns: Nanos, /) -> list[Frame]:
-        """Flag frames that say unknown for everything."""
+        """Flag frames in which every flag is unknown."""
 
 
 @dataclass(slots=True)
 class LiveSnapshot:
-    """What a display needs of the loop; one object, updated in place every tick."""
+    """State of the loop for displays; one object, updated in place every tick."""
 
     status: Status
     timing: Timing
@@ -83,10 +83,10 @@ class Stop:
     """A request to end, from a signal or from the program."""
 
     def __init__(self) -> None:
-        """Not requested yet."""
+        """Start without a request."""
         self.requested = False
         self.ended: Ended | None = None
-        """The signal that requested it."""
+        """The signal that requested the end; None if the program did."""
 
     def __call__(self) -> None:
         """Request the end."""
@@ -95,7 +95,7 @@ class Stop:
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """SIGTERM and SIGINT request the end; a second one acts as before, should the loop hang."""
+    """Request the end on SIGTERM or SIGINT; a second one acts as before, in case the loop hangs."""
     kinds = (signal.SIGTERM, signal.SIGINT)
     before = {kind: signal.getsignal(kind) for kind in kinds}
 
@@ -129,10 +129,10 @@ def run_live(
 ) -> LiveSnapshot:
     """Run until `stop` is requested (also by SIGTERM and SIGINT when in the main thread).
 
-    `transport` is open. `errors` tells which `GatewayError` are active.
-    `on_tick` is called after the frames are sent and must return quickly; `on_end` when the loop is
-    left. Ends with three ticks of unknown flags and closes the transport, also when the core
-    raises (a programming error, which goes on to the caller).
+    `transport` is open. `errors` returns the active `GatewayError` codes.
+    `on_tick` is called after the frames are sent and must return quickly; `on_end` is called when
+    the loop has ended. Ends with three ticks of unknown flags and closes the transport, also if the
+    core raises (a programming error, which is passed on to the caller).
     """
     stop = stop or Stop()
     with _signals(stop), frozen_garbage():
@@ -155,7 +155,7 @@ def _loop(
     on_tick: Callable[[LiveSnapshot], None] | None,
 ) -> LiveSnapshot:
     clock, integrity, status = ticker.clock, gateway.integrity, transport.status
-    # Who only listens hears the gateway that it is not.
+    # A gateway that only listens receives the frames of another one, which is then no intruder.
     integrity.watching = not (status.hears_itself or status.silent)
     drops = status.kernel_drops
     timing = Timing(ticker.lateness)
@@ -207,7 +207,7 @@ def _loop(
 
 
 def _farewell(gateway: Core, transport: Transport, ticker: Ticker) -> None:
-    """Say unknown three times, a tick apart, so that nobody keeps the last verdict."""
+    """Send unknown flags three times, a tick apart, so that no receiver keeps the last flags."""
     for _ in range(FAREWELL):
         tick = ticker.wait()
         for frame in gateway.unknown_frames(tick.now_ns):
@@ -221,7 +221,7 @@ def _say_link(status: Status) -> None:
 
 @contextmanager
 def _signals(stop: Stop) -> Iterator[None]:
-    """Signals belong to the main thread; elsewhere the caller ends the loop by `stop`."""
+    """Handle signals in the main thread; in another thread the caller ends the loop by `stop`."""
     if threading.current_thread() is threading.main_thread():
         with stop_on_signals(stop):
             yield
@@ -231,7 +231,7 @@ def _signals(stop: Stop) -> Iterator[None]:
 
 @contextmanager
 def frozen_garbage() -> Iterator[None]:
-    """Set everything built so far aside, so that a full collection does not cost 100 ms."""
+    """Exempt all existing objects from collection, so that a full one does not take 100 ms."""
     gc.collect()
     gc.freeze()
     try:

@@ -1,8 +1,8 @@
-"""Log lines on stderr: bounded by place in the code, text or JSON, marked for the journal.
+"""Log lines on stderr: rate-limited by line of code, text or JSON, with levels for the journal.
 
-A storm on the bus must not become one in the log: every place that logs may do so ten times a
-minute; how many lines were left out is said with the next one. Places are lines of code, so the
-memory is bounded as well.
+A storm on the bus must not cause one in the log: every line of code may log ten times a minute;
+the next line from it gives the number suppressed. The number of lines of code bounds the memory
+as well.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ WINDOW_S: Final = 60.0
 _LEVELS: Final = {
     logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2,
 }  # fmt: skip
-"""Levels of syslog(3), as sd-daemon(3) has them before a line."""
+"""Levels of syslog(3), which sd-daemon(3) expects before a line."""
 
 
 _USUAL: Final = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
 
 class Limited(logging.Filter):
-    """At most `MOST` lines in `WINDOW_S` from one place in the code."""
+    """Passes at most `MOST` records in `WINDOW_S` from one line of code."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """`clock` in seconds, for tests."""
@@ -39,7 +39,7 @@ class Limited(logging.Filter):
         self._seen: dict[tuple[str, int], list[float]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the line goes out; the first after some that did not says how many."""
+        """Whether the record is logged; the first after suppressed ones gets their number."""
         now = self._clock()
         window = self._seen.setdefault((record.pathname, record.lineno), [now, 0, 0])
         if now - window[0] >= WINDOW_S:
@@ -55,38 +55,38 @@ class Limited(logging.Filter):
         return True
 
     def suppressed(self) -> int:
-        """Lines left out that no later line has told of."""
+        """Number of suppressed records that no later one has reported."""
         return round(sum(window[2] for window in self._seen.values()))
 
 
 class Marked(logging.Formatter):
-    """Lines of another form with the level in front, as the journal wants it."""
+    """Lines of another formatter with the level in front, as the journal expects it."""
 
     def __init__(self, inner: logging.Formatter) -> None:
-        """`inner` makes the lines."""
+        """`inner` formats the lines."""
         super().__init__()
         self._inner = inner
 
     def format(self, record: logging.LogRecord) -> str:
-        """`<4>name: message`; further lines, of a traceback, get the level too."""
+        """`<4>name: message`; the further lines of a traceback get the level as well."""
         mark = f"<{_LEVELS.get(record.levelno, 5)}>"
         return "\n".join(mark + line for line in self._inner.format(record).splitlines())
 
 
 class Text(logging.Formatter):
-    """A line to a message; names of others in it cannot end the line or move the cursor."""
+    """One line per message; foreign names in it cannot end the line or move the cursor."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:
-        """Control characters are escaped."""
+        """Format the message with control characters escaped."""
         record.message = printable(record.message, len(record.message))
         return super().formatMessage(record)
 
 
 class Json(logging.Formatter):
-    """One object to a line: time (UTC), level, logger, message, what the record has besides."""
+    """One object per line: time (UTC), level, logger, message, the record's extra fields."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Values that JSON does not have go in as text; a traceback is one of the fields."""
+        """Values without a JSON type become text; a traceback is one of the fields."""
         fields: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -100,7 +100,7 @@ class Json(logging.Formatter):
 
 
 def to_journal(stream: TextIO, given: Mapping[str, str]) -> bool:
-    """Whether a stream is systemd's journal: `JOURNAL_STREAM` names its device and inode."""
+    """Whether a stream is systemd's journal; `JOURNAL_STREAM` gives its device and inode."""
     try:
         there = os.fstat(stream.fileno())
     except (OSError, ValueError):
@@ -109,7 +109,7 @@ def to_journal(stream: TextIO, given: Mapping[str, str]) -> bool:
 
 
 def begin(level: int, form: str = "text") -> Limited:
-    """Log to stderr from `level` up. Returns the limit, to ask at the end what was left out."""
+    """Log to stderr from `level` up. Return the filter, which counts suppressed records."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_formatter(form))
     limit = Limited()
@@ -119,13 +119,13 @@ def begin(level: int, form: str = "text") -> Limited:
 
 
 def reshape(form: str) -> None:
-    """Another form for what `begin` began."""
+    """Change the form of the log lines after `begin`."""
     for handler in logging.getLogger().handlers:
         handler.setFormatter(_formatter(form))
 
 
 def say(text: str, form: str, level: int = logging.ERROR) -> None:
-    """The last word of a program, never limited: the bare text, or a line of the log as JSON."""
+    """Write a program's last message, never rate-limited: the bare text, or a JSON log line."""
     if form == "json":
         record = logging.LogRecord("traction-gateway", level, "", 0, text, None, None)
         text = _formatter(form).format(record)
@@ -136,7 +136,7 @@ def _formatter(form: str) -> logging.Formatter:
     journal = to_journal(sys.stderr, os.environ)
     made: logging.Formatter = Json()
     if form == "text":
-        # The journal has the level of its own.
+        # The journal has its own field for the level.
         level = "" if journal else "%(levelname)s "
         made = Text(level + "%(name)s: %(message)s")
     return Marked(made) if journal else made

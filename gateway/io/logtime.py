@@ -1,9 +1,9 @@
-"""The time of a log: one wrong stamp, or a clock that was set, costs no more than its own frames.
+"""The time of a log: a wrong stamp, or a step of the clock, costs no more than the frames with it.
 
-A frame that goes on from the last one counts at once. One whose stamp is far from there waits until
-`AGREEING` frames in a row go on from it: then the log's clock was set, and all of them count. If
-they do not, those that waited are left out. Inside, time only goes forward: a clock that was set
-back is a hole of more than `HOLE_NS`, so that no flag says good across it.
+A frame that continues from the last one counts at once. A frame whose stamp is far from the last
+one waits until `AGREEING` frames in a row continue from it: then the log's clock was set, and all
+of them count. Otherwise the frames that waited are left out. Internally, time only goes forward: a
+clock that was set back becomes a hole of more than `HOLE_NS`, so that no flag stays good across it.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from dbc.frame import MS, SECOND, Nanos
 from dbc.frames import EMPTY, Block, join
 
 HOLE_NS: Final[Nanos] = 10 * SECOND
-"""A longer hole is skipped to the next frame once no flag says good."""
+"""A longer hole is skipped, up to the next frame, once no flag is good."""
 NEAR_NS: Final[Nanos] = 100 * MS
-"""A stamp so far from the last one, or less, is of the same clock."""
+"""A stamp at most this far from the last one belongs to the same clock setting."""
 AGREEING: Final = 5
-"""Frames in a row that make a new time."""
+"""Frames in a row that establish a new time."""
 APART_NS: Final[Nanos] = 10 * SECOND
-"""Most between two frames that agree on a time that lies back."""
+"""Longest time between two frames that agree on a time before the last one that counted."""
 LATEST_NS: Final[Nanos] = 1 << 62
-"""Stamps behind it are left out: what is reckoned with them still has 64 bits."""
+"""Later stamps are left out: sums with the remaining ones fit in 64 bits."""
 SORTED_OUT: Final = 256
-"""Frames that are looked at one by one before it is seen whether the others go on."""
+"""Frames that are checked one by one before the rest of a block is again checked as a whole."""
 KEPT: Final = 100
-"""Steps back of which is told."""
+"""Steps back that are recorded."""
 
 
 class Steady(NamedTuple):
     """Frames whose time does not go back.
 
-    dropped: of every one that was left out, how many of the block's stand before it; near: none was
+    dropped: for every frame left out, the number of the block's frames before it; near: none was
     left out, and each is at most `NEAR_NS` after the one before it.
     """
 
@@ -54,20 +54,20 @@ class Back(NamedTuple):
 
 
 class LogTime:
-    """The stamps of one log, in one direction. The same for the same log, however it is cut."""
+    """The stamps of one log, made to go forward only, however the log is cut into blocks."""
 
     def __init__(self, first_ns: Nanos, period_ns: Nanos, *, disorder: bool = False) -> None:
-        """first_ns: stamp of the first frame; period_ns: steps back are whole numbers of it.
+        """first_ns: stamp of the first frame; period_ns: stamps are shifted by multiples of it.
 
-        disorder: frames that go back by no more than `NEAR_NS` count as well, as they are.
+        disorder: frames that go back by no more than `NEAR_NS` count as well, with their own stamp.
         """
         self._disorder = disorder
         self.frames = 0
-        """Read so far."""
+        """Frames read so far."""
         self.steps = 0
-        """Times that the clock was set back."""
+        """Number of times that the clock was set back."""
         self.backs: list[Back] = []
-        """The first `KEPT` of these."""
+        """The first `KEPT` of these steps."""
         self._period_ns = period_ns
         self._latest_ns = first_ns
         self._shift_ns: Nanos = 0
@@ -77,11 +77,11 @@ class LogTime:
 
     @property
     def last_ns(self) -> Nanos:
-        """Of the last frame that counts, as blocks have it."""
+        """Time of the last frame that counts, as in the blocks of `steady`."""
         return self._latest_ns + self._shift_ns
 
     def shift_ns(self, now: Nanos) -> Nanos:
-        """What a time as blocks have it is more than the log's own. `now` must not go back."""
+        """Time in the blocks of `steady` minus the log's own. `now` must not go back."""
         while self._ahead and self._ahead[0][0] <= now:
             self._current_shift_ns = self._ahead.popleft()[1]
         return self._current_shift_ns
@@ -101,10 +101,10 @@ class LogTime:
             yield self._end()
 
     def _near(self, t_ns: NDArray[np.int64]) -> int:
-        """How many of these stamps go on from the last one and from one another."""
+        """Number of leading stamps that continue from the last one and from one another."""
         if not 0 <= t_ns.item(0) - self._latest_ns <= NEAR_NS:
             return 0
-        # A step back has the highest bit.
+        # As an unsigned number, a step back has the highest bit set, and so is far.
         far = (t_ns[1:] - t_ns[:-1]).view(np.uint64) > NEAR_NS
         near = 1 + int(far.argmax()) if far.any() else t_ns.size
         return int(np.searchsorted(t_ns[:near], LATEST_NS - self._shift_ns, "right"))
@@ -114,7 +114,7 @@ class LogTime:
         return Steady(_shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64), near=True)
 
     def _sorted_out(self, block: Block) -> Steady:
-        """Frame by frame. The last ones wait where they are not decided upon."""
+        """Decide frame by frame. The last frames wait if they cannot be decided yet."""
         stamps = block.t_ns.tolist()
         count = len(stamps)
         kept = np.zeros(count, dtype=np.bool_)
@@ -144,7 +144,7 @@ class LogTime:
         return Steady(moved.pick(good), dropped)
 
     def _set(self, first_ns: Nanos, t_ns: Nanos) -> bool:
-        """The clock was set, and shows `t_ns` now; False where there is no room for that."""
+        """Follow a clock that was set and shows `t_ns` now; False if that is past `LATEST_NS`."""
         shift = self._shift_ns
         if first_ns < self._latest_ns:
             span = self._latest_ns - first_ns + HOLE_NS
@@ -160,7 +160,7 @@ class LogTime:
         return True
 
     def _end(self) -> Steady:
-        """Those that still wait: nothing has spoken against what lies ahead."""
+        """Decide the frames that still wait: those ahead count, as no later frame disagrees."""
         block, self._waiting = self._waiting, EMPTY
         t_ns = block.t_ns.item(-1)
         if block.t_ns.item(0) < self._latest_ns or not self._set(block.t_ns.item(0), t_ns):
@@ -169,8 +169,8 @@ class LogTime:
 
 
 def _agree(before_ns: Nanos, t_ns: Nanos, latest_ns: Nanos) -> bool:
-    """Whether a frame goes on from the one before it, which waits."""
-    if before_ns > latest_ns:  # ahead, where a log may be slow
+    """Whether a frame continues from the one before it, which waits."""
+    if before_ns > latest_ns:  # ahead: a log may have few frames, so any later stamp agrees
         return t_ns >= before_ns
     return 0 <= t_ns - before_ns <= APART_NS and t_ns < latest_ns
 

@@ -1,10 +1,10 @@
-"""A receiver's check of what a tick has sent: due, protected, and accepted by the kernel.
+"""A receiver's check of the frames that a tick has sent: due, protected, accepted by the kernel.
 
 A loop that runs but sends nothing must not feed a watchdog. So the watchdog depends on frames:
 all that were due, with the next counter and a correct checksum, accepted by the kernel or device.
 A bus that is down or full is not a fault of the program: the link's state shows it, and a restart
-does not help. A frame decided too late counts as not sent. This happens to any process now and
-then, so a message counts as missing only if its frames are too late in tick after tick.
+does not help. A frame that is too late to be sent counts as not sent. That happens to any process
+now and then, so a message counts as missing only if several of its frames in a row are too late.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from gateway.io.transport import HEARTBEAT_ID, SendResult
 
 _OUR_FAULT = (SendResult.REFUSED, SendResult.FAILED)
 MOST_LATE = 2
-"""Frames of a message in a row that may come too late to be sent."""
+"""Frames of a message in a row that may be too late to be sent."""
 OFTEN_NS: Nanos = 100 * MS
-"""Longest cycle of a message that is asked whether it comes too late: flags, state, estimates. Of
-what goes out once a second three in a row are no sign that nothing leaves."""
+"""Longest cycle time of a message that is checked for lateness: flags, state, estimates. Three late
+frames in a row of a message sent once a second do not show that nothing is sent."""
 MOST_NAMED = 3
-"""Problems named of one tick; more of them say no more."""
+"""Problems of one tick that are named; naming more would not help."""
 
 
 class Outputs:
-    """Judge of what the loop sends, tick by tick."""
+    """Check of the frames that the loop sends, tick by tick."""
 
     def __init__(
         self,
@@ -37,25 +37,26 @@ class Outputs:
         *,
         listening: bool = False,
     ) -> None:
-        """Take the cyclic messages that the core sends; `silent`: it holds them back on purpose.
+        """Take the cyclic messages that the core sends.
 
-        `listening`: the allow-list holds everything back, so a refusal is as it should be.
+        `silent`: whether the core holds them back on purpose. `listening`: the allow-list refuses
+        every frame, so a refusal is correct.
         """
         self._faults = (SendResult.FAILED,) if listening else _OUR_FAULT
-        # Who sends nothing cannot be late with it.
+        # A gateway that sends nothing cannot be late with it.
         self._too_late = None if listening else SendResult.LATE
         specs = tuple(specs)
         self._receivers = {spec.can_id: Receiver(spec) for spec in specs}
         self._cycles = {spec.can_id: spec.cycle_ns for spec in specs} | {HEARTBEAT_ID: HEARTBEAT_NS}
         self._made_ns: dict[int, Nanos] = {}
         self._late: dict[int, int] = {}
-        """Frames in a row that came too late, by message; more than `MOST_LATE` before any left."""
+        """Late frames in a row by identifier; until the first is sent, more than `MOST_LATE`."""
         self.silent = silent
 
     def judge(self, sent: Sequence[Frame], results: Sequence[SendResult], now_ns: Nanos) -> str:
         """What is wrong with the frames of a tick, in one line; empty if nothing is.
 
-        `results`: what became of each. `now_ns`: the time that the step got.
+        `results`: what became of each frame. `now_ns`: the time that was passed to the step.
         """
         found = []
         for frame, result in zip(sent, results, strict=True):

@@ -12,14 +12,14 @@ from gateway.settings.config import Config
 
 
 class Mode(StrEnum):
-    """A way to run."""
+    """Operating mode of a command."""
 
     RUN = "run"
     """The gateway in service: its own messages; NMT start only as configured master."""
     LISTEN = "listen"
-    """The gateway in service, looking only."""
+    """The gateway in service, only listening."""
     REPLAY = "replay"
-    """Any log: it has no bus either."""
+    """A recorded log; there is no bus."""
     HIL = "hil"
     """The gateway on a test bench: it starts the simulated drives."""
     SIM = "sim"
@@ -27,7 +27,7 @@ class Mode(StrEnum):
 
 
 def allowed(mode: Mode, config: Config, codec: Codec) -> Allow:
-    """The list for a mode: identifier, length and format, on the channels of `[bus] send_on`."""
+    """The allow-list of a mode, for the channels of `[bus] send_on`."""
     if mode in (Mode.LISTEN, Mode.REPLAY):
         return Allow({})
     channels = config.bus.send_on
@@ -44,7 +44,7 @@ def allowed(mode: Mode, config: Config, codec: Codec) -> Allow:
 
 
 def drives_only(codec: Codec, nodes: Iterable[int], channels: Iterable[str] | None = None) -> Allow:
-    """What these drives send: their messages, heartbeat, EMCY and answers of their SDO servers."""
+    """Allow the frames of these drives: messages, heartbeat, EMCY and answers of SDO servers."""
     nodes = frozenset(nodes)
     lengths = {
         spec.key: (spec.length, spec.is_fd)

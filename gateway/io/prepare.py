@@ -1,4 +1,4 @@
-"""Configuration and codec of a command: read, verified, bound to the DBC."""
+"""Configuration and codec of a command: reading, signature check, binding to the DBC."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 def prepare(
     path: Path | None, *, signature: argparse.Namespace | None = None, **changes: Any
 ) -> tuple[Config, Codec]:
-    """Configuration and codec. Raises ConfigError or DbcMismatch with every problem.
+    """Return configuration and codec. Raises ConfigError or DbcMismatch with every problem.
 
-    signature: options of `add_signature`; with a public key nothing unsigned is even parsed.
-    changes: fields of `[section]`s to override, as `section={"key": value}`.
+    signature: options of `add_signature`; with a public key, nothing unsigned is parsed.
+    changes: fields of `[section]`s to override, as `section={"key": value}`; None: not overridden.
     """
     from dbc.codec import bind
 

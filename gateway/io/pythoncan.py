@@ -1,7 +1,7 @@
 """Every other CAN interface, through python-can: the same Transport, polled, no threads.
 
-`can.Notifier` is never used (its thread dies at the first fault of the link). Reading asks with
-timeout 0 only, because python-can's waiting follows the wall clock.
+`can.Notifier` is never used (its thread dies at the first fault of the link). `recv` is called
+with timeout 0 only, because python-can times its waiting by the wall clock.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ with leanstart.absent("asammdf"):
     import can
 
 BATCH = 4096
-"""Most frames read in one go."""
+"""Most frames read in one call."""
 _PAUSE_S = 0.001
 _ECHOING = ("udp_multicast",)
-"""Interfaces that give back what they send without being asked."""
+"""Interfaces that receive their own frames even without `receive_own_messages`."""
 
 
 def complete(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill in what `can.conf` and `CAN_*` variables say. ConfigError if no interface is named."""
+    """Fill in the settings of `can.conf` and `CAN_*`. ConfigError if no interface is named."""
     try:
         found = can.util.load_config(config=dict(chosen))
     except (can.CanError, ValueError) as error:
@@ -48,7 +48,7 @@ _UNUSABLE = (
     can.CanInterfaceNotImplementedError, AttributeError, ImportError, NameError, TypeError,
     ValueError,
 )  # fmt: skip
-"""What python-can raises where an option is wrong, or the maker's library is not there."""
+"""What python-can raises if an option is wrong or the vendor's library is missing."""
 
 
 class PythonCan:

@@ -1,9 +1,9 @@
-"""A faster start: prevents libraries from loading optional libraries that are not needed.
+"""A faster start: keep libraries from loading optional libraries that are not needed.
 
-python-can loads asammdf for MF4 logs, and that pandas and pyarrow: 1 s.
+python-can loads asammdf for MF4 logs, which loads pandas and pyarrow: 1 s.
 
-It is for the beginning of a program, before it has threads: an import in another thread
-would fail meanwhile as well.
+Use this at the beginning of a program, before it has threads: meanwhile, an import in another
+thread would fail as well.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from types import ModuleType
 
 @contextmanager
 def absent(*names: str) -> Iterator[None]:
-    """Importing these fails meanwhile, as if they were not installed; not if they are loaded."""
+    """Make imports of these modules fail as if not installed, unless they are loaded already."""
     hidden = [name for name in names if name not in sys.modules]
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type] # None: what imports expect
     try:
@@ -30,13 +30,13 @@ def absent(*names: str) -> Iterator[None]:
 
 
 def python_can() -> None:
-    """Load python-can without MF4; `dbc.logs.python_can.mf4_module` makes up for it."""
+    """Load python-can without MF4 support; `dbc.logs.python_can.mf4_module` adds it later."""
     with absent("asammdf"):
         importlib.import_module("can")
 
 
 def pydantic() -> None:
-    """Load no plugins of it: to look for some it reads the names of all that is installed."""
+    """Disable plugins of pydantic: the search reads the metadata of all installed packages."""
     name = "pydantic.plugin._loader"
     if name not in sys.modules:
         none = ModuleType(name)
@@ -45,16 +45,16 @@ def pydantic() -> None:
 
 
 def one_blas_thread() -> None:
-    """NumPy starts no threads for large matrices: they would wait for work, busily."""
+    """Keep NumPy from starting threads for large matrices, which would busy-wait for work."""
     if "numpy" not in sys.modules:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @contextmanager
 def unsearched() -> Iterator[None]:
-    """No search for garbage meanwhile: what a start makes stays, and is searched repeatedly.
+    """Disable garbage collection: what a start makes stays, and would be searched repeatedly.
 
-    Nor at once afterwards: all of it counts as old.
+    Afterwards these objects count as old, so that they are not searched at once either.
     """
     before = gc.isenabled()
     gc.disable()
@@ -70,9 +70,9 @@ def unsearched() -> Iterator[None]:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """The same, nor later among what was made.
+    """As `unsearched`, and exempt the objects made from later collections as well.
 
-    `gc.unfreeze` ends that; see `live.frozen_garbage`.
+    `gc.unfreeze` ends the exemption; see `live.frozen_garbage`.
     """
     with unsearched():
         yield

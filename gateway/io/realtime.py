@@ -1,7 +1,7 @@
 """Fixed-rate loop on absolute monotonic deadlines, and a histogram of its lateness.
 
-A late tick is not made up for: the missed ones are skipped and counted, the next deadline is
-on the original grid, and the caller gets the true time.
+A late tick is not made up for: missed ticks are skipped and counted, the next deadline is on the
+original grid, and the caller gets the true time.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ _SUB = 1 << _SUB_BITS
 
 
 class Histogram:
-    """Counts of non-negative integers in buckets of four steps per octave; never grows.
+    """Counts of non-negative integers in four buckets per octave; never grows.
 
     Relative width of a bucket is at most 1/4; values below 8 are exact.
     """
 
     def __init__(self) -> None:
-        """Start empty, with room for any 64-bit value."""
+        """Start empty, with buckets for any 64-bit value."""
         self.counts = [0] * (64 * _SUB)
         self.total = 0
         self.largest = 0
@@ -38,7 +38,7 @@ class Histogram:
     def quantile(self, fraction: float) -> int:
         """Smallest bucket end that `fraction` of the values do not exceed; 0 if empty.
 
-        Never more than the largest value counted, so it is a bound within 25 %.
+        Never more than the largest value counted; an upper bound that is at most 25 % too high.
         """
         wanted = fraction * self.total
         seen = 0
@@ -49,7 +49,7 @@ class Histogram:
         return 0
 
     def octaves(self) -> list[tuple[int, int, int]]:
-        """(from, below, count) in powers of two, from the first that holds a value to the last."""
+        """(from, below, count) by powers of two, from the first with a value to the last."""
         sums: dict[int, int] = {}
         for bucket, count in enumerate(self.counts):
             if count:
@@ -82,7 +82,7 @@ class Tick(NamedTuple):
 
 
 class Ticker:
-    """Wakes every `period_ns` on the grid start + k * period."""
+    """Wakes every `period_ns`, on the grid start + k * period."""
 
     def __init__(
         self,
@@ -90,7 +90,10 @@ class Ticker:
         clock: Callable[[], Nanos] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Take the period and, for tests, a clock in ns and a sleep in seconds."""
+        """Take the period and, for tests, a clock in ns and a sleep in seconds.
+
+        Raises ValueError for a period that is not positive.
+        """
         if period_ns <= 0:
             msg = f"period_ns must be positive, not {period_ns}"
             raise ValueError(msg)
@@ -105,14 +108,14 @@ class Ticker:
         """Time of waking after the deadline, ns."""
 
     def wait(self) -> Tick:
-        """Sleep to the next deadline on the grid. The first call returns at once and sets it."""
+        """Sleep until the next deadline. The first call returns at once and starts the grid."""
         now = self.clock()
         if self._start_ns is None:
             self._start_ns = now
         self._number += 1
         deadline = self._start_ns + self._number * self.period_ns
-        # Python sleeps on an absolute monotonic deadline and resumes after signals (PEP 475);
-        # the loop covers sleeps that end early.
+        # Python's sleep uses an absolute monotonic deadline and resumes after signals (PEP 475);
+        # the loop handles sleeps that end early.
         while now < deadline:
             self._sleep((deadline - now) / SECOND)
             now = self.clock()

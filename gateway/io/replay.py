@@ -24,40 +24,40 @@ from gateway.io import quick_start as leanstart
 from gateway.io.logtime import HOLE_NS, LogTime
 
 MOST_TICKS = 4096
-"""Asked for at once."""
+"""Most ticks that are requested from the core in one call."""
 REPORTED = 60
-"""Characters of a line that is none."""
+"""Characters that a message quotes from a line that is no frame."""
 
 Array = NDArray[np.float64]
 Sink = Callable[[Nanos, list[Frame], Gateway], None]
-"""Told of every tick: now, what goes out, and who says it; its view is made when asked for.
+"""Called for every tick with now, the frames sent, and the gateway, whose view is built on request.
 
-`now` never goes back; what goes out has the log's own time, as `Briefly.write` gets it.
+`now` never goes back; the frames sent carry the log's own time, as they do for `Briefly.write`.
 """
 Make = Callable[[Nanos], Gateway]
 
 
 class Samples(Protocol):
-    """Who looks at a tick now and then."""
+    """A consumer that samples the ticks now and then."""
 
     @property
     def next_ns(self) -> Nanos:
-        """The first tick at or after it is the last of those that are told of at once."""
+        """Time of the next sample: a run of ticks ends with the first tick at or after it."""
 
     def took(self, now: Nanos, gateway: Gateway, peak: Array) -> None:
         """Take one tick or many, of which the last was at `now`.
 
-        Only in that one a flag of a drive can have changed. peak (N,): largest probability of loss
-        that was said of each drive in any of them; NaN: none.
+        Only in the last tick can a drive's flag have changed. peak (N,): largest loss probability
+        of each drive in any of the ticks; NaN: there was none.
         """
 
 
 class Briefly(NamedTuple):
-    """In place of a `Sink`, for who can do without a view of ticks that change nothing.
+    """Callbacks in place of a `Sink`, for callers that need no view of ticks without a change.
 
-    write: what goes out, of one tick or of many; changed: the gateway, after a tick in which a
-    drive's flag changed; samples: who looks at some of the others, too; read: what comes in, with
-    the times of the ticks.
+    write: takes the frames sent, of one tick or of many; changed: takes the gateway, after a tick
+    in which a drive's flag changed; samples: consumer of some of the other ticks as well; read:
+    takes the frames received, with their time as the ticks count it.
     """
 
     write: Callable[[Block], None]
@@ -67,7 +67,7 @@ class Briefly(NamedTuple):
 
 
 class Replayed(NamedTuple):
-    """What a replay did. last_ns: of the last frame, as ticks have it; clock: of the log."""
+    """What a replay did. last_ns: the last frame, in the time of the ticks; clock: the log's."""
 
     first_ns: Nanos
     last_ns: Nanos
@@ -79,7 +79,7 @@ class Replayed(NamedTuple):
 
     @property
     def dropped(self) -> int:
-        """Frames that were left out for their time."""
+        """Frames that were left out because their time was wrong."""
         return self.gateway.inbox.counts["time_back"]
 
 
@@ -88,16 +88,16 @@ class BadLogError(Exception):
 
 
 class OneChannel:
-    """The frames of one channel of a log; `name` is known once the first was read."""
+    """The frames of one channel of a log; `name` is known once the first frame has been read."""
 
     def __init__(self, blocks: Iterable[Block], wanted: str | None) -> None:
-        """wanted: None takes the only channel there is."""
+        """wanted: the channel's name; None takes the only channel of the log."""
         self.name = wanted
         self._blocks = blocks
         self._wanted = wanted
 
     def __iter__(self) -> Iterator[Block]:
-        """Raises BadLogError for several channels and none named, or none of that name."""
+        """Raises BadLogError for several channels if none was named, or if none has that name."""
         others: set[str] = set()
         found = False
         for block in self._blocks:
@@ -134,13 +134,13 @@ def replay(
     period_ns: Nanos,
     sink: Sink | Briefly,
 ) -> Replayed:
-    """Run the core over a log. Ticks are t_first + k * period; tick k takes t <= t_k.
+    """Run the core over a log. Ticks are t_first + k * period; tick k takes frames with t <= t_k.
 
     A gateway that `make` has resumed from a start record goes on with its own next tick.
 
     Frames whose time is wrong are dropped and counted, see `LogTime`. The last tick is the first at
-    or after the last frame. Who is told briefly gets many ticks at a time, much sooner. Raises
-    BadLogError for a log without frames.
+    or after the last frame. A `Briefly` gets many ticks at a time, which is much faster. Raises
+    BadLogError for a log without frames, or for one that begins before the start record.
     """
     stream = iter(blocks)
     block = next(stream, EMPTY)
@@ -185,7 +185,7 @@ def replay(
         gateway.leave_out(count)
 
     def many(block: Block, sink: Briefly) -> int:
-        """All ticks that end within the block; the first frame that is not in any."""
+        """Step all ticks that end within the block; return its first frame that is in none."""
         nonlocal now, ticks
         done, last = 0, block.t_ns.item(-1)
         while now < last:
@@ -225,7 +225,7 @@ def replay(
                 now += period_ns
                 if hole and following > now and not gateway.says_good:
                     now += -((now - following) // period_ns) * period_ns
-        # More frames of this tick may stand in the next block.
+        # The next block may hold more frames of this tick.
         drop(len(dropped))
         held = block.part(done, block.size)
     step(held)
@@ -235,17 +235,17 @@ def replay(
 
 
 class Log(NamedTuple):
-    """A log that can be read: its blocks, and what keeps the counts."""
+    """A log that can be read: its blocks, and the reader, which keeps the counts."""
 
     blocks: Iterable[Block]
     reader: LogReader
 
 
 def open_log(path: Path, strict: bool, line: str = "") -> Log:
-    """A log: by its ending, and by its content where that says nothing, see `dbc.logs.opening`.
+    """Open a log: by its file extension, else by its content, see `dbc.logs.opening`.
 
-    line: a pattern of its lines. Raises BadLogError for what is not there or no file: a FIFO or a
-    device may never end.
+    line: a pattern of its lines. Raises BadLogError if the path does not exist or is not a regular
+    file: a FIFO or a device may never end.
     """
     if not path.exists():
         msg = f"{path}: no such file"
@@ -263,7 +263,7 @@ def open_log(path: Path, strict: bool, line: str = "") -> Log:
 
 
 def _some(reader: LogReader, path: Path) -> Iterator[Block]:
-    """The log's blocks. Raises BadLogError where it has lines and none is a frame."""
+    """The log's blocks. Raises BadLogError if the log has lines but none of them is a frame."""
     found = False
     for block in reader.blocks():
         found = found or block.size > 0

@@ -1,8 +1,8 @@
 """Kernel settings for punctual ticks: a real-time priority, and locked memory.
 
-A thread started later by a library would inherit the priority and could keep the loop from ever
-running again; so reset-on-fork is always set. systemd can do both before the program starts
-(`CPUSchedulingPolicy=fifo`, `LimitMEMLOCK=`), which needs no privilege here.
+A thread that a library starts later would inherit the priority and could keep the loop from ever
+running again, so reset-on-fork is always set. systemd can grant both before the program starts
+(`CPUSchedulingPolicy=fifo`, `LimitMEMLOCK=`); the program then needs no privilege.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ MOST: Final = 99
 
 
 def be_realtime(priority: int) -> None:
-    """SCHED_FIFO with `priority` (1 to 99) for this thread, and all memory locked.
+    """Give this thread SCHED_FIFO with `priority` (1 to 99), and lock all memory.
 
-    A real-time priority that the thread has already stays what it is. ConfigError, with what to
-    do, where the kernel does not allow it.
+    A real-time priority that the thread already has is kept. Raises ConfigError, which says what
+    to do, if the kernel does not allow it.
     """
     problems = []
     given = is_realtime()
@@ -56,7 +56,7 @@ def be_realtime(priority: int) -> None:
 
 
 def use_given() -> None:
-    """With a real-time priority from outside: lock memory, if the limit allows it for good."""
+    """Lock memory if the thread was started with a real-time priority and there is no limit."""
     if not is_realtime():
         return
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
@@ -69,7 +69,7 @@ def use_given() -> None:
 
 
 def described() -> str:
-    """What the kernel gives this thread, in one line for the log."""
+    """Scheduling, processors and locked memory of this thread, in one line for the log."""
     processors = len(os.sched_getaffinity(0))
     return (
         f"{_policy()}, {processors} processor{'s' * (processors > 1)}, "
@@ -85,7 +85,7 @@ def _policy() -> str:
 
 
 def _locked_kib() -> int:
-    """Memory that stays, KiB; 0 also where /proc does not tell."""
+    """Locked memory, KiB; 0 also if /proc does not show it."""
     try:
         text = Path("/proc/self/smaps_rollup").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -96,9 +96,10 @@ def _locked_kib() -> int:
 
 
 def _lock_memory() -> str:
-    """Lock every page from its first use on; why not, or nothing.
+    """Lock every page from its first use on; return the error, empty if there is none.
 
-    Libraries reserve much that is never used: OpenBLAS 32 MB, a thread's stack 8 MB.
+    Not all pages at once, because libraries reserve memory that they never use: OpenBLAS 32 MB, a
+    thread's stack 8 MB.
     """
     if ctypes.CDLL(None, use_errno=True).mlockall(_CURRENT | _FUTURE | _ON_FAULT) == 0:
         return ""
@@ -106,7 +107,7 @@ def _lock_memory() -> str:
 
 
 def be_ordinary() -> None:
-    """Undo `be_realtime`, for what comes after the loop."""
+    """Undo `be_realtime`, once the loop has ended."""
     ctypes.CDLL(None).munlockall()
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

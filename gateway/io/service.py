@@ -1,8 +1,9 @@
 """Notifications to systemd: ready, alive, and a status line (`Type=notify`, `WatchdogSec=`).
 
-`READY=1` after the first tick whose frames were looked at; an interface that is absent is a state,
-which `STATUS=` names. `WATCHDOG=1` after such ticks only, so neither a loop that hangs nor one that
-sends nothing is kept alive. Without `NOTIFY_SOCKET` nothing is sent.
+`READY=1` is sent after the first tick whose frames passed the check of `Outputs`; an absent
+interface is no fault but a state, which `STATUS=` names. `WATCHDOG=1` is sent after such ticks
+only, so neither a loop that hangs nor one that sends nothing is kept alive. Without
+`NOTIFY_SOCKET` nothing is sent.
 """
 
 from __future__ import annotations
@@ -24,27 +25,27 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 FEEDS: Final = 4
-"""Times the watchdog is fed within its time."""
+"""Times that the watchdog is fed within its timeout."""
 STATUS_NS: Final[Nanos] = SECOND
-"""Least time between two lines of status: a flapping link cannot flood the journal."""
+"""Shortest time between two status lines: a flapping link cannot flood the journal."""
 
 
 class Manager:
     """The service manager's socket; never blocks, never raises.
 
-    Own lines and not the package `sdnotify`: that blocks on a full socket, sends Latin-1 where
-    UTF-8 is wanted, and stays connected to a socket that has been made again.
+    The package `sdnotify` is not used: it blocks on a full socket, sends Latin-1 where UTF-8 is
+    expected, and stays connected to a socket that has since been recreated.
     """
 
     def __init__(self, address: str = "", watchdog_ns: Nanos = 0) -> None:
-        """`address` as in `NOTIFY_SOCKET`, empty for none; `watchdog_ns`: 0 without one."""
-        # systemd writes the zero byte that begins an abstract address as @.
+        """`address` as in `NOTIFY_SOCKET`, empty for none; `watchdog_ns`: 0 without a watchdog."""
+        # systemd writes @ for the zero byte that begins an abstract address.
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self.watchdog_ns = watchdog_ns
 
     @classmethod
     def from_environment(cls, given: Mapping[str, str] | None = None) -> Self:
-        """As sd_notify(3) and sd_watchdog_enabled(3) have it; a wrong number is no watchdog."""
+        """Read what sd_notify(3) and sd_watchdog_enabled(3) do; a wrong number: no watchdog."""
         given = os.environ if given is None else given
         ours = given.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         usec = given.get("WATCHDOG_USEC", "")
@@ -52,7 +53,7 @@ class Manager:
         return cls(given.get("NOTIFY_SOCKET", ""), watchdog_ns)
 
     def say(self, *lines: str) -> bool:
-        """Send one message; True if it was taken. A full socket loses it: say it again later."""
+        """Send one message; True if it was taken. A full socket loses it: send it again later."""
         if not self._address:
             return True
         try:
@@ -67,7 +68,7 @@ class Manager:
 
 
 class Overseer:
-    """Looks at every tick and tells the service manager; what is wrong goes to the log as well."""
+    """Checks every tick and notifies the service manager; problems are logged as well."""
 
     def __init__(self, outputs: Outputs, manager: Manager, where: str, began_ns: Nanos) -> None:
         """`where` names the bus; `began_ns`: when the program started, for the log."""
@@ -81,7 +82,7 @@ class Overseer:
         self._status_ns: Nanos = 0
 
     def completed(self, seen: LiveSnapshot) -> None:
-        """Call it at the end of every tick."""
+        """Check a tick; call this at its end."""
         problem = self._outputs.judge(seen.sent, seen.results, seen.now_ns)
         if problem:
             log.error("this tick does not count: %s", problem)
@@ -98,7 +99,7 @@ class Overseer:
             self._feed_ns = seen.now_ns + watchdog_ns // FEEDS
 
     def stopping(self) -> None:
-        """Call it when the loop has ended, before the goodbye."""
+        """Notify that the loop has ended; call this before the last frames, of unknown flags."""
         self._manager.say("STOPPING=1", "STATUS=says unknown and stops")
 
     def _begin(self, seen: LiveSnapshot, status: str) -> None:

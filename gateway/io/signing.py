@@ -1,7 +1,7 @@
 """Signed configuration: ed25519 over the digests of configuration, DBC and calibration.
 
-The signature is a text file beside the configuration. Who checks it gets the public key from
-elsewhere: a key that came with the configuration would vouch for whoever wrote both.
+The signature is a text file beside the configuration. The verifier needs the public key from
+another source: a key that came with the configuration could be the key of an attacker.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from gateway.io.credentials import private_file
 from gateway.settings.config import Config, ConfigError, check_seal
 
 TITLE: Final = "traction-gateway signed configuration 1"
-"""Also keeps a signature made for something else from counting here."""
+"""First signed line; it also rejects signatures made for another purpose."""
 ROLES: Final = ("config", "dbc", "calibration")
 NONE: Final = "none"
 _LONGEST: Final = 4096
 
 
 def default_signature(config: Path) -> Path:
-    """Where a configuration's signature is looked for."""
+    """Default path of a configuration's signature."""
     return config.with_name(config.name + ".sig")
 
 
@@ -51,12 +51,12 @@ def digests(path: Path, config: Config) -> dict[str, str]:
 
 
 def statement(seals: Mapping[str, str]) -> bytes:
-    """What is signed: the title and a line per role, always the same bytes for the same files."""
+    """The signed bytes: the title and a line per role, always the same for the same files."""
     return "".join([f"{TITLE}\n", *(f"{role} {seals[role]}\n" for role in ROLES)]).encode("ascii")
 
 
 def sign(path: Path, config: Config, key: Path) -> tuple[str, dict[str, str]]:
-    """(text of the signature file, what it vouches for). Raises ConfigError for the key."""
+    """(text of the signature file, signed digest by role). Raises ConfigError for the key."""
     seals = digests(path, config)
     signed = statement(seals)
     signature = base64.b64encode(_private_key(key).sign(signed)).decode("ascii")
@@ -64,9 +64,9 @@ def sign(path: Path, config: Config, key: Path) -> tuple[str, dict[str, str]]:
 
 
 def verified(signature: Path, public_key: Path) -> dict[str, str]:
-    """What a signature file vouches for, by role. Raises ConfigError unless it is this key's.
+    """Signed digests of a signature file, by role. Raises ConfigError unless it is this key's.
 
-    The file must be, byte by byte, what `sign` writes: nothing in it can be other than signed.
+    The file must be byte for byte what `sign` writes, so nothing in it is unsigned.
     """
     key = _public_key(public_key)
     try:
@@ -91,9 +91,9 @@ def verified(signature: Path, public_key: Path) -> dict[str, str]:
 
 
 def check_files(config: Config) -> None:
-    """Raises ConfigError unless DBC and calibration are those that were signed, if any were.
+    """Raises ConfigError if files were signed and DBC or calibration is not the signed one.
 
-    Before anything of them is parsed; whoever parses them compares once more what it has read.
+    This is done before either is parsed; the parser checks what it has read once more.
     """
     if not config.sealed:
         return
@@ -114,7 +114,10 @@ def check_digest(config: Config, digest: str) -> None:
 
 
 def make_keys(private: Path, public: Path) -> None:
-    """A new pair, in PEM; the private one for its owner only. Raises OSError if one exists."""
+    """Write a new key pair as PEM; only its owner may read the private key.
+
+    Raises OSError if one of the files exists.
+    """
     key = Ed25519PrivateKey.generate()
     pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     write_private(private, pem)
@@ -123,7 +126,7 @@ def make_keys(private: Path, public: Path) -> None:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """A new file that only its owner may read. Raises OSError if there is one of that name."""
+    """Write a new file that only its owner may read. Raises OSError if the file exists."""
     with open(path, "xb", opener=_private) as file:
         file.write(content)
         os.fsync(file.fileno())

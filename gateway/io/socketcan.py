@@ -1,12 +1,12 @@
 """SocketCAN by a raw socket of our own: batch reading, kernel stamps, drop counter, reopening.
 
 python-can's SocketCAN bus is not used: it follows the wall clock, cannot report lost frames,
-and stays deaf when an interface is deleted and made again.
+and receives nothing any more after an interface is deleted and created again.
 
-What the kernel does (Documentation/networking/can.rst, net/can/raw.c) and what follows here:
-an interface going down gives ENETDOWN once and the socket works again after up, so it is kept;
-a removed interface gives ENODEV once and the socket is unbound for ever, so it is closed and a
-new one is opened every 0.5 s; a re-created interface shows as another index.
+What the kernel does (Documentation/networking/can.rst, net/can/raw.c) and how this module reacts:
+an interface that goes down gives ENETDOWN once, and the socket works again after up, so it is kept;
+a removed interface gives ENODEV once and the socket stays unbound, so it is closed, and opening a
+new one is tried every 0.5 s; an interface that was created again has another index.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from gateway.settings.config import ConfigError
 log = logging.getLogger(__name__)
 
 LOOK_NS: Nanos = 100 * MS
-"""Pause between two looks at the interface's index and flags: two system calls."""
+"""Pause between two checks of the interface's index, flags and MTU."""
 BATCH = 4096
-"""Most frames read in one go, so that a flood cannot hold the loop."""
+"""Most frames read in one call, so that a flood cannot hold the loop."""
 MOST_BUS_OFFS, BUS_OFF_WINDOW_NS = 3, 60 * SECOND
-"""More of them in so long: nothing is sent until they are past. A controller that restarts and
-goes off again takes the bus from everybody else."""
+"""After more than 3 bus-offs within 60 s nothing is sent until the first of them is 60 s old. A
+controller that keeps restarting and going bus-off takes the bus from everybody else."""
 
 STALLED_LOOKS = 10
-"""After so many reads in a row with frames of ours still unsent it is told."""
+"""Reads in a row with our own frames still unsent, after which the status notes it."""
 
 _GONE = frozenset((errno.ENODEV, errno.ENXIO, errno.EBADF))
 _QUEUE_FULL = frozenset((errno.ENOBUFS, errno.EAGAIN))
@@ -61,16 +61,16 @@ class SocketCan:
         """Name the interface; `fd` also receives and allows CAN FD frames.
 
         `newest`: nothing is queued behind frames that were handed over before the last read and
-        still wait, so that after a stall of the bus no more than those leave late.
-        `links`: asked for the bus state beside error frames, and for what is set up wrongly.
+        are still waiting, so that after a stall of the bus only those are sent late.
+        `links`: second source of the bus state beside error frames, and of wrong settings.
         """
         self.channel = channel
         self.status = Status()
         self._fd = fd
         self._newest = newest
         self._links = links
-        self._held = 0  # reads in a row with frames of ours still waiting
-        self._state_ns: Nanos = 0  # when something last told the bus state
+        self._held = 0  # reads in a row with our own frames still waiting
+        self._state_ns: Nanos = 0  # when the bus state was last updated other than by netlink
         self._kernel = kernel or Kernel()
         self._raw: RawSocket | None = None
         self._ifindex = 0
@@ -127,7 +127,7 @@ class SocketCan:
         return block
 
     def send(self, frame: Frame) -> SendResult:
-        """See Transport. Nothing is queued while down or bus-off: it would leave stale."""
+        """See Transport. Nothing is queued while down or bus-off: it would be stale when sent."""
         count = self.status.count
         payload = pack(frame)
         if payload is None or (len(payload) == FD_SIZE and not self._fd):
@@ -142,7 +142,7 @@ class SocketCan:
             try:
                 raw.send(payload)
             except OSError as error:
-                # A down that is over may still be pending on this socket; it is told once.
+                # ENETDOWN of a past down may still be pending on the socket; it is reported once.
                 if error.errno != errno.ENETDOWN or self.status.state is not LinkState.UP:
                     raise
                 raw.send(payload)
@@ -172,7 +172,7 @@ class SocketCan:
         return SendResult.FAILED
 
     def _connect(self, now: Nanos) -> None:
-        """Open and bind. An absent interface is a state; OSError only where CAN is not there."""
+        """Open and bind. An absent interface is a state; OSError only if it cannot be opened."""
         self._retry_ns = now + RETRY_NS
         try:
             raw = self._kernel.connect(self.channel, self._fd, self._newest)
@@ -195,7 +195,7 @@ class SocketCan:
         self._look(now)
 
     def _tend(self, now: Nanos) -> None:
-        """Open again what is absent; look whether the interface is still the one we hold."""
+        """Reopen an absent interface; check that a present one is still the one we hold."""
         if self._raw is None:
             if now >= self._retry_ns:
                 try:
@@ -207,7 +207,7 @@ class SocketCan:
             self._ask()
 
     def _look(self, now: Nanos) -> None:
-        """Compare index and flags of the interface with what the socket is bound to."""
+        """Compare the interface's index and flags with those that the socket was bound to."""
         if self._raw is None:
             return
         self._look_ns = now + LOOK_NS
@@ -231,7 +231,7 @@ class SocketCan:
                 )
 
     def _ask(self) -> None:
-        """Compare with what netlink says, unless it was asked before we were told otherwise."""
+        """Take the bus state from netlink, unless a newer one has come from elsewhere since."""
         if self._links is None or self._raw is None:
             return
         asked, found = self._links.news()
@@ -248,7 +248,7 @@ class SocketCan:
             self._moved(before, asked)
 
     def _moved(self, before: BusState, now: Nanos) -> None:
-        """The bus state may have changed."""
+        """Log the bus state and count a bus-off if the state is not as `before`."""
         state = self.status.bus_state
         if state is before:
             return
@@ -274,7 +274,7 @@ class SocketCan:
         self._retry_ns = self._kernel.monotonic_ns() + RETRY_NS
 
     def _drain(self, raw: RawSocket, started: Nanos) -> Block:
-        """Read until the queue is empty; stamp with the age the kernel's stamps tell.
+        """Read until the queue is empty; stamp each frame by its age in the kernel's stamps.
 
         `started` is a time before the first read.
         """
@@ -291,7 +291,7 @@ class SocketCan:
                 emptied = True
                 break
             except OSError as error:
-                if error.errno == errno.ENETDOWN:  # told once, frames may wait behind it
+                if error.errno == errno.ENETDOWN:  # reported once; frames may be waiting behind it
                     self._down()
                     continue
                 if error.errno in _GONE:

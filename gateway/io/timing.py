@@ -1,7 +1,7 @@
 """Where the time goes between a frame's reception and its flag: a histogram per stage.
 
-The frame that decides is the one of the newest sample that the tick's flags rest on, stamped by the
-kernel as it came in. It waits for the tick, and then for everything that the tick does.
+The deciding frame is that of the newest sample on which the tick's flags rest, stamped by the
+kernel on reception. It waits for the tick, and then for every stage of the tick.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dbc.frame import Nanos
 from gateway.io.realtime import Histogram
 
 STAGES: Final = ("waiting", "reading", "deciding", "sending", "frame to flag")
-"""From the kernel's stamp until the tick begins; until the queue is read; until the core has
-decoded, estimated, decided and encoded; until the tick's last frame is handed over. Then all of it
-together."""
+"""Each stage begins where the one before it ends. They end when the tick begins, when the queue is
+read, when the core has decoded, estimated, decided and encoded, and when the tick's last frame is
+handed over. The first begins at the kernel's stamp; the last is the sum."""
 
 
 class Stage(NamedTuple):
-    """One histogram. ns; octaves: (from, below, count) in powers of two, empty ones between."""
+    """One histogram, ns. octaves: (from, below, count) by powers of two, including empty ones."""
 
     name: str
     values: int
@@ -31,21 +31,21 @@ class Stage(NamedTuple):
 
 
 class Timing:
-    """Histograms, ns. Never grows."""
+    """Histograms of all stages, ns. Never grows."""
 
     def __init__(self, lateness: Histogram) -> None:
-        """lateness: of the ticks, kept by the ticker."""
+        """lateness: histogram of the ticks' lateness, kept by the ticker."""
         self.lateness = lateness
         self.stages = {name: Histogram() for name in STAGES}
         self._decided: Nanos | None = None
 
     @property
     def latency(self) -> Histogram:
-        """From frame to flag."""
+        """Histogram of the time from frame to flag."""
         return self.stages[STAGES[-1]]
 
     def stage_rows(self) -> list[Stage]:
-        """All of them, lateness first, for a report."""
+        """All histograms, lateness first, for a report."""
         return [
             Stage(
                 name, h.total, h.quantile(0.5), h.quantile(0.99), h.quantile(0.999), h.largest,
@@ -57,14 +57,14 @@ class Timing:
     def add(
         self, decided: Nanos | None, woken: Nanos, read: Nanos, stepped: Nanos, sent: Nanos
     ) -> None:
-        """One tick. decided: when the deciding frame came in.
+        """Count one tick. decided: stamp of the deciding frame.
 
-        None, or one that has decided before, is not counted: nothing new was decided.
+        With None, or the same frame as before, nothing is counted: nothing new was decided.
         """
         if decided is None or decided == self._decided:
             return
         self._decided = decided
-        # A frame may come in between the tick's begin and the reading of the queue.
+        # A frame may arrive between the beginning of the tick and the reading of the queue.
         begun = max(woken, decided)
         spans = (begun - decided, read - begun, stepped - read, sent - stepped, sent - decided)
         for histogram, span in zip(self.stages.values(), spans, strict=True):

@@ -1,6 +1,6 @@
-"""The one way to a bus: a small protocol, what it reports, and the transmit allow-list.
+"""The only access to a bus: a small protocol, its status, and the transmit allow-list.
 
-After `open()` no method raises on anything a bus can do: faults are states and counts.
+After `open()` no method raises for any fault of the bus: faults become states and counts.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class SendResult(Enum):
 
     SENT = "sent"
     REFUSED = "refused"
-    """Not on the allow-list: never leaves."""
+    """Not on the allow-list; never sent."""
     FULL = "full"
     """Transmit queue full; the frame is dropped, the next one carries newer values."""
     DOWN = "down"
     """Interface down, absent or bus-off."""
     LATE = "late"
-    """Decided too long before it could be sent; never handed over."""
+    """Its values were decided too long ago when it could be sent; never handed over."""
     FAILED = "failed"
     """Refused by the kernel or device for another reason (such as FD on a classic link)."""
 
@@ -75,7 +75,7 @@ class Status:
     reopened: int = 0
     """Times the interface was opened again after the first success."""
     hears_itself: bool = False
-    """Whether frames that are sent come back as received ones."""
+    """Whether the interface receives the frames that it sends."""
     silent: bool = False
     """Whether nothing at all may be sent."""
     note: str = ""
@@ -99,9 +99,9 @@ class Status:
         return result
 
     def saw(self, frame: Frame, *, from_wire: bool = True) -> None:
-        """Count a received frame; error frames move `bus_state`.
+        """Count a received frame; an error frame updates `bus_state`.
 
-        from_wire: data proves that we are not off, where nothing else would tell.
+        from_wire: a data frame ends bus-off, for interfaces with no other source of the bus state.
         """
         self.received += 1
         if frame.flags & ERROR:
@@ -123,13 +123,13 @@ class Transport(Protocol):
         """
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        """Everything that waits, oldest first; waits up to `timeout_s` if nothing does.
+        """All frames that are waiting, oldest first; if there are none, waits up to `timeout_s`.
 
         `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
         """
 
     def receive_block(self, timeout_s: float) -> Block:
-        """The same, as arrays: what the core's loop reads."""
+        """The same frames as arrays, as the core's loop needs them."""
 
     def send(self, frame: Frame) -> SendResult:
         """Hand one frame over without blocking."""
@@ -141,15 +141,15 @@ class Transport(Protocol):
 def monotonic_stamp(stamp_ns: Nanos, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos) -> Nanos:
     """Reception time on the monotonic clock from a wall-clock stamp.
 
-    `real_ns` and `now_ns` are both clocks read together; `bound_ns` is the oldest the frame can
-    be (time since the queue was last found empty). A wall clock that steps, or a device with
-    an epoch of its own, can so move a stamp only between the last read and now.
+    `real_ns` and `now_ns` are the two clocks, read together; `bound_ns` is the greatest age that
+    the frame can have (time since the queue was last found empty). So a wall clock that steps, or
+    a device with an epoch of its own, cannot move a stamp out of the time from then until now.
     """
     return now_ns - min(max(real_ns - stamp_ns, 0), bound_ns)
 
 
 class Allow:
-    """What may be sent: identifier, length, format, channel; NMT only as node-addressed start."""
+    """Transmit allow-list by identifier, length, format and channel; of NMT only node starts."""
 
     def __init__(
         self,
@@ -159,7 +159,8 @@ class Allow:
     ) -> None:
         """Take `lengths` as id (bit 31: extended) -> (data length, is FD).
 
-        `started`: nodes that an NMT start may address; `channels`: where, None for any one.
+        `started`: nodes that an NMT start may address, never 0 (ValueError, as for an NMT
+        identifier in `lengths`); `channels`: those that may be sent on, None for any.
         """
         self.channels = None if channels is None else tuple(channels)
         self._lengths = dict(lengths)
@@ -179,9 +180,9 @@ class Allow:
         creep: bool = False,
         channels: Iterable[str] | None = None,
     ) -> Self:
-        """The gateway's own messages for the configured drives, its heartbeat and its EMCY.
+        """Allow the gateway's own messages for the configured drives, its heartbeat and its EMCY.
 
-        `Gateway_Auth` only where flags are authenticated, optional messages only with `creep`.
+        `Gateway_Auth` is allowed only with `authenticated`, optional messages only with `creep`.
         """
         nodes = frozenset(nodes)
         lengths = {
@@ -195,11 +196,11 @@ class Allow:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing at all may be sent: then a refusal is no news."""
+        """Whether nothing at all may be sent: then a refusal is not worth reporting."""
         return not self._lengths and not self._starts
 
     def check_channel(self, channel: str) -> None:
-        """Raises ConfigError where something could be sent on a channel that is not listed."""
+        """Raises ConfigError if frames could be sent on a channel that is not listed."""
         if not self.silent and self.channels is not None and channel not in self.channels:
             named = ", ".join(self.channels) or "none"
             raise ConfigError(
@@ -208,7 +209,7 @@ class Allow:
             )
 
     def permits(self, frame: Frame) -> bool:
-        """Whether this very frame may leave."""
+        """Whether this frame may be sent."""
         if frame.flags & (REMOTE | ERROR):
             return False
         key = frame.can_id | (EXTENDED_KEY if frame.flags & EXTENDED else 0)

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Final
 
 PART: Final = ".part"
-"""In the name of every file that is not whole: it begins with it, or ends with it where kept."""
+"""Marks an incomplete file: its name begins with this, or ends with it if the file is kept."""
 
 
 @contextmanager
 def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
-    """A name to write to, which becomes `path` at the end. Makes the folder. Raises OSError.
+    """Yield a path to write to, renamed to `path` at the end. Makes the folder. Raises OSError.
 
-    After an exception or a signal nothing is left and an older file of that name stays as it was;
-    with `keep`, what a signal has ended stays as `NAME.part`: for what cannot be recorded again. A
-    device or FIFO is written to as it is.
+    After an exception or a signal nothing is left, and an older file of that name stays as it was.
+    With `keep`, a file that a signal interrupts stays as `NAME.part`, for data that cannot be
+    recorded again. A device or FIFO is written to directly.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if _is_stream(path):
@@ -27,7 +27,7 @@ def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
             yield path
         return
     target = Path(os.path.realpath(path))
-    # The suffix stays: writers go by it. A leading dot, so that no pattern takes it for a log.
+    # The suffix stays, as writers depend on it. The leading dot hides it from patterns for logs.
     part = target.with_name(f"{PART}-{os.getpid()}-{target.name}")
     try:
         with _named(path):
@@ -43,7 +43,7 @@ def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Names the file where a full disk, which writing alone meets, is reported without a name."""
+    """Add the file's name to an OSError of a full disk, quota or size, which `write` omits."""
     try:
         yield
     except OSError as error:
@@ -53,12 +53,12 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """The text as UTF-8, line ends as they are; whole or not at all. Raises OSError."""
+    """Write a text as UTF-8, whole or not at all. Raises OSError."""
     with whole(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def _is_stream(path: Path) -> bool:
-    """True for what is no regular file, and for names of this process's own streams."""
+    """Whether `path` is no regular file, or names a stream of this process."""
     named = Path(os.path.abspath(path))  # noqa: PTH100 a link such as /dev/stdout is not followed
     return named.parts[1:2] in (("dev",), ("proc",)) or (path.exists() and not path.is_file())

@@ -1,6 +1,6 @@
-"""A frame as SocketCAN's C structures, and what an error frame says. Pure: no socket, no clock.
+"""Frames as SocketCAN's C structures, and the bus state in error frames. No socket, no clock.
 
-The way back is `unpack_frames` in `dbc/socketcan.c`.
+The reverse, C structures to frames, is `unpack_frames` in `dbc/socketcan.c`.
 
 Layout of `struct can_frame` (16 bytes) and `struct canfd_frame` (72 bytes): linux/can.h;
 error classes: linux/can/error.h.
@@ -22,7 +22,7 @@ _FD_BRS, _FD_ESI = 1, 2
 
 
 class BusState(StrEnum):
-    """Fault confinement state of the controller, as error frames tell it."""
+    """Fault confinement state of the controller, as error frames report it."""
 
     ACTIVE = "active"
     WARNING = "warning"
@@ -31,7 +31,7 @@ class BusState(StrEnum):
 
 
 def pack(frame: Frame) -> bytes | None:
-    """Frame to the bytes a raw CAN socket takes; None if no CAN bus could carry it."""
+    """The bytes that a raw CAN socket takes for a frame; None if no CAN bus could carry it."""
     length = len(frame.data)
     extended = frame.flags & EXTENDED
     can_id = frame.can_id
@@ -42,7 +42,7 @@ def pack(frame: Frame) -> bytes | None:
     if frame.flags & FD:
         if length not in FD_LENGTHS or frame.flags & REMOTE:
             return None
-        # CANFD_FDF (4) is left to the size of the structure, as cansend does.
+        # CANFD_FDF (4) is not set: the size of the structure implies it, as in cansend.
         flags = _FD_BRS if frame.flags & BRS else 0
         flags |= _FD_ESI if frame.flags & ESI else 0
         return _HEAD.pack(can_id, length, flags, 0, 0) + frame.data.ljust(64, b"\0")
@@ -61,7 +61,7 @@ _CLASS_CONTROLLER, _CLASS_BUS_OFF, _CLASS_RESTARTED = 0x004, 0x040, 0x100
 
 
 def bus_state(error: Frame, before: BusState) -> BusState:
-    """State of the controller after an error frame; `before` where the frame does not tell."""
+    """Controller state after an error frame; `before` if the frame does not report the state."""
     if error.can_id & _CLASS_BUS_OFF:
         return BusState.BUS_OFF
     if error.can_id & _CLASS_RESTARTED:

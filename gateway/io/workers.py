@@ -1,4 +1,4 @@
-"""Local processes for independent tasks; all of them end with this one."""
+"""Local worker processes for independent tasks; all of them end with this process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from multiprocessing import active_children, get_context
 
 @contextmanager
 def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """So many processes. After an exception or a signal they are ended, not waited for."""
+    """A pool of `jobs` processes. After an exception or a signal they are ended, not awaited."""
     others = set(active_children())
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_leave_it_to_the_parent)
     with pool:
@@ -25,5 +25,5 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _leave_it_to_the_parent() -> None:
-    """Ctrl-C in a terminal is for all of its processes."""
+    """Ignore SIGINT: Ctrl-C in a terminal goes to every process, and the parent ends them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

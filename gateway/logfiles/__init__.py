@@ -1,1 +1,1 @@
-"""Recordings from one format to another."""
+"""Conversion of recordings from one format to another, and shrinking of logs."""

@@ -1,4 +1,4 @@
-"""Frames as Vector's BLF, times exact to the nanosecond."""
+"""Frames as Vector's BLF, with times exact to the nanosecond."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ _STAMP: Final = struct.Struct("<LHHQ")
 _NANOSECONDS, _LONG_ID, _REMOTE_FLAG = 2, 0x8000_0000, 0x80
 _MESSAGE: Final = 1
 _MOST_CHANNEL: Final = 0xFFFE
-"""Channels count from 1, in 16 bits."""
+"""Highest channel number from 0; in the file, channels count from 1, in 16 bits."""
 _LOBJ, _AT_ONCE = int.from_bytes(b"LOBJ", "little"), 2048
 _CODES: Final = {size: code for code, size in enumerate(FD_SIZES)}
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 class BlfFile:
-    """The start of the file is the first frame's full millisecond, in UTC."""
+    """A BLF file. Its start time is that of the first frame, cut to milliseconds, in UTC."""
 
     def __init__(self, path: Path) -> None:
-        """Creates the file."""
+        """Create the file."""
         self.written = 0
         self.left_out: Counter[str] = Counter()
         self.reduced: Counter[str] = Counter()
-        """Frames of which something is not kept, by what."""
+        """Frames of which a property is not kept, by property."""
         self._channels = ChannelNumbers(_MOST_CHANNEL)
         self._file = path.open("wb")
         self._file.write(bytes(_HEADER_BYTES))
@@ -57,7 +57,7 @@ class BlfFile:
         self._held = bytearray()
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
         if not block.size:
             return
         if self._first_ns is None:
@@ -137,7 +137,7 @@ class BlfFile:
         self._unpacked += BASE.size + CONTAINER.size + len(data)
 
     def close(self) -> None:
-        """Make the file whole."""
+        """Complete the file and close it."""
         self._flush()
         size = self._file.tell()
         self._file.seek(0)
@@ -164,7 +164,7 @@ class BlfFile:
 
 
 def _system_time(t_ns: Nanos) -> tuple[int, ...]:
-    """Windows' SYSTEMTIME in UTC; zeros, which stand for none, at 1970."""
+    """Windows' SYSTEMTIME in UTC; zeros, which mean no time, up to 1970."""
     if t_ns <= 0:
         return (0,) * 8
     m = _EPOCH + timedelta(microseconds=t_ns // 1000)

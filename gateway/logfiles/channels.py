@@ -1,4 +1,4 @@
-"""Numbers of channels, for formats without channel names."""
+"""Channel numbers, for formats without channel names."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from dbc.frames import Block
 from gateway.logfiles.frames import interface
 
 MOST: Final = 99_999
-"""The largest number that is taken for one."""
+"""The largest number that counts as a channel number."""
 _MOST_DIGITS: Final = 21
-"""Candump's names have no more characters."""
+"""Longest name of a channel in candump text, in characters."""
 _UNNAMED: Final = "can0"
-"""What a frame without a channel is on in candump text."""
+"""Channel in candump text of a frame without a channel."""
 
 
 def channel_number(channel: str, most: int = MOST) -> int | None:
-    """The digits of a channel's name; None where it has none, or more than the format has."""
+    """Number formed by the digits of a channel's name; None without digits or above `most`."""
     digits = "".join(filter(str.isdecimal, channel or _UNNAMED))
     number = int(digits) if digits and len(digits) <= _MOST_DIGITS else most + 1
     return number if number <= most else None
 
 
 class ChannelNumbers:
-    """Numbers of the channels of one log, and which of its names do not come back from them.
+    """Numbers of the channels of one log, and which names cannot be restored from them.
 
-    A name comes back if it has a number of its own: `can1` and `vcan1` do, but not both of one log.
+    A name can be restored if its number is its own: `can1` or `vcan1`, but not both in one log.
     """
 
     def __init__(self, most: int = MOST) -> None:
-        """most: the largest number that the format has."""
+        """most: the largest number that the format can hold."""
         self._most = most
         self._names: dict[int, str] = {}
-        """Of each number, the first name that had it."""
+        """Number -> the first name that had it."""
 
     def number(self, channel: str) -> int:
-        """Of a name; 0 where it has none."""
+        """Number of a channel's name; 0 if it has none."""
         return channel_number(channel, self._most) or 0
 
     def lost(self, block: Block) -> int:
-        """How many frames have a channel that does not come back."""
+        """Number of frames whose channel name cannot be restored."""
         counts = np.bincount(block.channel, minlength=len(block.names)).tolist()
         return sum(
             count

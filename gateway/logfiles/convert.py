@@ -1,4 +1,4 @@
-"""Converts one file to another: the formats by ending, the frames, and the file written."""
+"""Converts one file to another; the endings of their names decide the formats."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from gateway.logfiles.signals import Decoder
 
 FRAMES: Final = (".log", ".log.gz", ".asc", ".blf", ".trc")
-"""Endings that hold frames and nothing else."""
+"""Endings of files that hold only frames."""
 SIGNALS: Final = (".parquet", ".mf4", ".mcap", ".csv", ".csv.gz")
-"""Endings that hold decoded signals, or frames where asked for."""
+"""Endings of files that hold decoded signals, or frames on request."""
 ASCENDING: Final = (".asc", ".blf", ".trc", ".mf4", ".mcap")
 """Endings of formats in which time only goes forward."""
 TIME_FAULTS: Final = ("time_back", "before_the_first", "before_1970")
-"""Causes for which a frame is not written that are the log's."""
+"""Causes for not writing a frame that are faults of the log's time."""
 _EXTRA: Final = {
     ".parquet": ("pyarrow", "parquet"),
     ".mf4": ("asammdf", "mf4"),
@@ -37,10 +37,10 @@ _EXTRA: Final = {
 
 
 class Done(NamedTuple):
-    """What became of a log.
+    """Result of a conversion.
 
-    read: frames; cut: why reading ended early, else empty; steps: times that the log's clock was
-    set back, after which all later times are moved forward.
+    read: number of frames; cut: why reading ended early, else empty; steps: number of times that
+    the log's clock was set back, after each of which all later times are moved forward.
     """
 
     read: int
@@ -55,14 +55,14 @@ class Done(NamedTuple):
 
 
 def ending(path: Path) -> str:
-    """The part of a name that says what is in the file, in small letters, with any `.gz`."""
+    """Suffix of a file's name, in lower case, with any `.gz` after it."""
     name = path.name.lower()
     plain = name.removesuffix(".gz")
     return Path(plain).suffix + name[len(plain) :]
 
 
 def out_ending(path: Path, frames: bool) -> str:
-    """Of a file to be written. Raises ConfigError for one that nobody can write."""
+    """Ending of a file to be written. Raises ConfigError if it cannot be written."""
     kind = ending(path)
     if kind not in FRAMES + SIGNALS:
         raise ConfigError(
@@ -78,14 +78,14 @@ def out_ending(path: Path, frames: bool) -> str:
 
 
 def need(path: Path) -> None:
-    """Raises ConfigError that says what to install for a file with this ending."""
+    """Raises ConfigError, which says what to install, if the ending needs a missing library."""
     module, extra = _EXTRA.get(ending(path).removesuffix(".gz"), ("", ""))
     if module:
         extras.need((module,), extra, str(path))
 
 
 def open_input(path: Path, strict: bool, line: str = "") -> Log:
-    """As `open_log`, and Parquet with a row per frame. Raises ConfigError, BadLogError."""
+    """Open a log with `open_log`, or Parquet of frames. Raises ConfigError, BadLogError."""
     need(path)
     if ending(path) == ".parquet" and path.is_file():
         reader = frame_files.ParquetReader(path, strict=strict)
@@ -94,12 +94,12 @@ def open_input(path: Path, strict: bool, line: str = "") -> Log:
 
 
 def of_channel(blocks: Iterable[Block], wanted: str | None) -> Iterator[Block]:
-    """The frames of one channel; None: of all. Raises BadLogError where there is no such one."""
+    """The frames of one channel; None: of all. Raises BadLogError if there is no such channel."""
     return iter(blocks) if wanted is None else iter(OneChannel(blocks, wanted))
 
 
 def frame_sink(path: Path, kind: str) -> Sink:
-    """A writer of frames, for `out_ending`s."""
+    """The writer of frames for an ending from `out_ending`."""
     if kind in (".log", ".log.gz"):
         return frame_files.Candump(path)
     if kind == ".parquet":
@@ -123,7 +123,7 @@ def frame_sink(path: Path, kind: str) -> Sink:
 
 
 def signal_sink(path: Path, kind: str, decoder: Decoder, blocks: Iterable[Block]) -> Sink:
-    """A writer of signals, for `out_ending`s. blocks: the log, read here for the columns."""
+    """The writer of signals for an ending from `out_ending`. blocks: read here for the columns."""
     if kind == ".mf4":
         from gateway.logfiles.mf4 import Mf4Signals
 
@@ -142,7 +142,7 @@ def signal_sink(path: Path, kind: str, decoder: Decoder, blocks: Iterable[Block]
 
 
 def _readable(blocks: Iterable[Block]) -> Iterator[Block]:
-    """What can be read; the fault is met again, and told, when the file is converted."""
+    """The readable blocks; the conversion meets and reports the same fault later."""
     try:
         yield from blocks
     except LogError:
@@ -150,7 +150,7 @@ def _readable(blocks: Iterable[Block]) -> Iterator[Block]:
 
 
 def comments_of(codec: Codec) -> dict[str, str]:
-    """`Message` and `Message.Signal` -> comment, of those that have one."""
+    """`Message` and `Message.Signal` -> comment, if there is one."""
     from dbc.tolerant import database_of
 
     comments = {}
@@ -162,9 +162,9 @@ def comments_of(codec: Codec) -> dict[str, str]:
 
 
 class _Source:
-    """A log's blocks, counted. forward: so that time goes forward, but for little disorder.
+    """A log's blocks, counted. forward: correct the time with `LogTime`, except small disorder.
 
-    One wrong stamp then costs itself, and a clock that was set back moves later times forward.
+    Then a wrong stamp costs only its own frame, and a clock that was set back shifts later times.
     """
 
     def __init__(self, blocks: Iterable[Block], forward: bool) -> None:
@@ -173,7 +173,7 @@ class _Source:
         self.cut: LogError | None = None
 
     def __iter__(self) -> Iterator[Block]:
-        """Ends where the log has a fault, which is `cut` then."""
+        """Iterate until the end of the log or a fault, which is then in `cut`."""
         blocks = self._counted()
         first = next(blocks, None)
         if first is None:
@@ -201,10 +201,10 @@ class _Source:
 def convert(
     blocks: Iterable[Block], path: Path, make: Callable[[Path], Sink], *, strict: bool
 ) -> Done:
-    """Write a log to `path`. What was read before a fault in the log is kept, unless `strict`.
+    """Write a log to `path`. Frames before a fault in the log are kept, unless `strict`.
 
-    Raises LogError with `strict`, or if nothing was read; BadLogError if there is nothing to
-    write: then no file is left.
+    Raises LogError for a fault if `strict` or if nothing was read; BadLogError if there is nothing
+    to write. Then no file is left.
     """
     source = _Source(blocks, ending(path) in ASCENDING)
     with whole(path) as part:
@@ -226,7 +226,7 @@ def convert(
 
 
 class NothingWrittenError(BadLogError):
-    """Frames were read and none could be written."""
+    """Frames were read, but none could be written."""
 
     def __init__(self, read: int, sink: Sink) -> None:
         self.sink = sink

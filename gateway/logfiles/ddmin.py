@@ -1,4 +1,4 @@
-"""Delta debugging: which of many items can be left out while something still holds."""
+"""Delta debugging: which of many items can be left out while a condition still holds."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ Mask = NDArray[np.bool_]
 
 
 def minimise(groups: Sequence[Mask], count: int, holds: Callable[[Mask], bool]) -> Mask:
-    """(count,): the items that are left when no single one can be left out any more.
+    """(count,) mask of the items that are left when no single one can be left out any more.
 
     First whole groups (each a mask of the items) are left out, then runs of consecutive items,
     half as long each time (Zeller and Hildebrandt, "Simplifying and Isolating Failure-Inducing
-    Input", 2002, complements only). holds: whether it still does with these items; it does with
-    all of them.
+    Input", 2002, complements only). holds: whether the condition holds with these items; it must
+    hold with all of them.
     """
     kept = np.ones(count, dtype=np.bool_)
     for group in groups:
@@ -32,7 +32,7 @@ def minimise(groups: Sequence[Mask], count: int, holds: Callable[[Mask], bool]) 
 
 
 def _leave_out(kept: Mask, items: Mask | NDArray[np.int64], holds: Callable[[Mask], bool]) -> bool:
-    """Take them out of `kept` if it holds without them."""
+    """Remove items from `kept` if the condition holds without them; return whether it did."""
     without = kept.copy()
     without[items] = False
     if (without == kept).all() or not holds(without):

@@ -1,6 +1,7 @@
-"""Frames into files: candump text, and Parquet with a row per frame.
+"""Files of frames: candump text, and Parquet with a row per frame.
 
-Every writer takes blocks, counts what it wrote and what its format has no room for, by cause.
+Every writer takes blocks, and counts the frames written and, by cause, those that its format
+cannot hold.
 """
 
 from __future__ import annotations
@@ -18,26 +19,26 @@ from dbc.frames import Block
 from dbc.logs.objects import ObjectReader
 
 GROUP: Final = 1 << 17
-"""Rows of a Parquet row group: what is kept in memory."""
+"""Rows of a Parquet row group, which is kept in memory."""
 
 
 class Sink(Protocol):
     """A file being written."""
 
     written: int
-    """Frames."""
+    """Number of frames written."""
     left_out: Counter[str]
     """Frames that were not written, by cause."""
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
 
     def close(self) -> None:
-        """Make the file whole."""
+        """Complete the file and close it."""
 
 
 def interface(channel: str) -> str:
-    """A channel's name for candump: the bare numbers of other formats are `can` and the number."""
+    """A channel's name for candump; a bare number, as in other formats, gets `can` before it."""
     return f"can{channel}" if channel.isdecimal() else channel
 
 
@@ -45,13 +46,13 @@ class Candump:
     """`candump -L` text."""
 
     def __init__(self, path: Path) -> None:
-        """Creates the file."""
+        """Create the file."""
         self.written = 0
         self.left_out: Counter[str] = Counter()
         self._writer = Writer(path)
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
         early = block.t_ns < 0
         if early.any():
             self.left_out["before_1970"] += int(np.count_nonzero(early))
@@ -69,7 +70,7 @@ class Candump:
                 return
 
     def close(self) -> None:
-        """Make the file whole."""
+        """Complete the file and close it."""
         self._writer.close()
 
 
@@ -78,14 +79,14 @@ FLAGS: Final = {
     "tx": TX,
 }  # fmt: skip
 _ADDED: Final = frozenset({"tx"})
-"""Columns that files of earlier versions do not have."""
+"""Columns that files of earlier versions lack."""
 
 
 class ParquetRows:
-    """What both kinds of Parquet share: rows are kept until there are those of a row group."""
+    """Base of both kinds of Parquet files: rows are kept until they fill a row group."""
 
     def __init__(self, path: Path, schema: Any, group: int) -> None:
-        """Creates the file. group: rows of a row group."""
+        """Create the file. group: rows of a row group."""
         import pyarrow.parquet as pq
 
         self.written = 0
@@ -112,16 +113,16 @@ class ParquetRows:
         self._held, self._rows = [], 0
 
     def close(self) -> None:
-        """Make the file whole."""
+        """Complete the file and close it."""
         self._flush()
         self._writer.close()
 
 
 class ParquetFrames(ParquetRows):
-    """A row per frame, nothing lost: `read_parquet` gives the same frames."""
+    """Parquet with a row per frame, lossless: `read_parquet` returns the same frames."""
 
     def __init__(self, path: Path) -> None:
-        """Creates the file."""
+        """Create the file."""
         import pyarrow as pa
 
         fields = [
@@ -135,7 +136,7 @@ class ParquetFrames(ParquetRows):
         super().__init__(path, pa.schema(fields), GROUP)
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
         import pyarrow as pa
 
         rows = [block.data[k, :n].tobytes() for k, n in enumerate(block.length.tolist())]

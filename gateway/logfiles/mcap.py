@@ -1,6 +1,7 @@
-"""MCAP by its own library: JSON messages with a JSON schema, for Foxglove and PlotJuggler.
+"""MCAP by the `mcap` library: JSON messages with a JSON schema, for Foxglove and PlotJuggler.
 
-`/can/frames` has every frame; `/CHANNEL/MESSAGE` has the decoded signals of one message on one bus.
+Topic `/can/frames` has every frame; `/CHANNEL/MESSAGE` has the decoded signals of one message on
+one bus.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from gateway.logfiles.signal_files import MARKS, Comments, decimal, labels_of
 from gateway.logfiles.signals import Decoder, is_exact
 
 LABELS: Final = "labels"
-"""Names of the values that have one, beside the signals; a signal of that name comes first."""
+"""Field with the names of named values, beside the signals; a signal of this name replaces it."""
 _UNNAMED: Final = "can0"
 _FRAME: Final = {
     **{name: {"type": "string"} for name in ("channel", "id_hex", "data")},
@@ -33,32 +34,32 @@ _FRAME: Final = {
     **{name: {"type": "boolean"} for name in FLAGS},
 }
 Message = tuple[Nanos, int, str]
-"""Time, channel in the file, JSON."""
+"""Time, number of the MCAP channel, JSON."""
 
 
 class _Topic(NamedTuple):
-    """Of a message: channel in the file; of its signals the names, of some the labels as JSON."""
+    """Topic of a message: MCAP channel, names of the signals, and (place, labels), all as JSON."""
 
     number: int
     keys: list[str]
     labels: list[tuple[int, dict[float, str]]]
     exact: list[int]
-    """Places of those whose whole numbers a float cannot hold."""
+    """Places of the signals whose integers a float cannot hold."""
 
 
 class McapFile(AbstractContextManager["McapFile"]):
-    """Every frame on `/can/frames`; with a decoder the signals, too. Messages are in time order."""
+    """Frames on `/can/frames`, and with a decoder their signals. Messages are in time order."""
 
     def __init__(
         self, path: Path, decoder: Decoder | None = None, comments: Comments | None = None
     ) -> None:
-        """Creates the file. Raises OSError."""
+        """Create the file. Raises OSError."""
         from mcap.writer import Writer
 
         self.written = 0
         self.left_out: Counter[str] = Counter()
         self.reduced: Counter[str] = Counter()
-        """Frames that the DBC does not decode, as `signals`."""
+        """Frames that the DBC does not decode, under the key `signals`."""
         self._decoder, self._comments = decoder, comments or {}
         self._file = path.open("wb")
         self._writer = Writer(self._file)
@@ -71,7 +72,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         self._starts: dict[tuple[str, int, int, int], str] = {}
 
     def channel(self, topic: str, name: str, properties: Mapping[str, Any]) -> int:
-        """Its number in the file. name, properties: of the JSON schema, at the first call."""
+        """Number of a topic's MCAP channel. name, properties: JSON schema, for the first call."""
         if topic not in self._channels:
             schema = {"type": "object", "properties": properties}
             key = printable(name), json.dumps(schema, separators=(",", ":")).encode()
@@ -82,7 +83,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         return self._channels[topic]
 
     def add(self, block: Block) -> None:
-        """Append. Raises OSError."""
+        """Append frames. Raises OSError."""
         self.add_frames(block)
         self.flush()
 
@@ -103,7 +104,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         self._waiting += messages
 
     def flush(self, until_ns: Nanos | None = None) -> None:
-        """Write what waits, up to a time; None: all. Raises OSError."""
+        """Write the waiting messages up to a time; None: all. Raises OSError."""
         self._waiting.sort(key=itemgetter(0))
         if early := bisect_left(self._waiting, 0, key=itemgetter(0)):
             self.left_out["before_1970"] += early
@@ -116,13 +117,13 @@ class McapFile(AbstractContextManager["McapFile"]):
         del self._waiting[:done]
 
     def close(self) -> None:
-        """Make the file whole. Raises OSError."""
+        """Complete the file and close it. Raises OSError."""
         with self._file:
             self.flush()
             self._writer.finish()
 
     def __exit__(self, *error: object) -> None:
-        """Finish, or only close the file. Raises OSError."""
+        """Complete the file, or only close it after an exception. Raises OSError."""
         self._file.close() if error[1] is not None else self.close()
 
     def _of_frames(self, block: Block, names: list[str]) -> Iterator[Message]:
@@ -137,7 +138,7 @@ class McapFile(AbstractContextManager["McapFile"]):
             yield t_ns, self._frames, f'{start}"{data}"}}'
 
     def _start(self, channel: str, can_id: int, flags: int, dlc: int) -> str:
-        """A frame's JSON up to its data; dlc: only where it is not the length's."""
+        """A frame's JSON up to its data; dlc: -1 if it follows from the length."""
         fields: dict[str, Any] = {"channel": channel, "id": can_id, "id_hex": f"{can_id:X}"}
         fields |= {name: flags & flag != 0 for name, flag in FLAGS.items()}
         if dlc >= 0:
@@ -172,7 +173,7 @@ class McapFile(AbstractContextManager["McapFile"]):
             yield t_ns, topic.number, "{" + ",".join(map(":".join, cells.items())) + "}"
 
     def _topic(self, channel: str, message: MessageSpec) -> _Topic:
-        """Of the signals of one message on one bus; it is in the file from now on."""
+        """Add the topic for the signals of one message on one bus to the file."""
         properties: dict[str, Any] = {LABELS: {"type": "object"}, MARKS: {"type": "string"}}
         labels, exact = [], []
         for place, signal in enumerate(message.signals):

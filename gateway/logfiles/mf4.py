@@ -1,7 +1,7 @@
 """MF4 by asammdf: decoded signals in a channel group per message, or frames as bus logging.
 
 Times count from the first frame's full second, in float seconds: exact to the nanosecond for
-97 days. asammdf keeps what is appended in a temporary file, so memory does not grow.
+97 days. asammdf keeps appended data in a temporary file, so memory does not grow.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from gateway.logfiles.signals import Decoded, Decoder, is_exact
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _BUS, _CAN = 2, 2
-"""MF4's numbers of a source that is a bus, and of CAN."""
+"""MF4's numbers for the source type bus and the bus type CAN."""
 _MOST_CHANNEL: Final = 0xFF
-"""ASAM's BusChannel has 8 bits."""
+"""Highest channel number: ASAM's BusChannel has 8 bits."""
 
 
 class _Mf4:
-    """What both kinds share: the file, its start, groups that grow."""
+    """Base of both kinds of MF4: the file, its start time, groups that grow."""
 
     def __init__(self, path: Path) -> None:
         from asammdf import MDF
@@ -51,7 +51,7 @@ class _Mf4:
         return np.asarray((t_ns - self._base_ns) / SECOND, dtype=np.float64)
 
     def _forward(self, key: Any, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which of a group's times do not go back: MF4 has its time ascending."""
+        """Mask of a group's times that do not go back, as MF4 needs ascending times."""
         latest = self._latest.get(key, int(t_ns[0]))
         highest = np.maximum(np.maximum.accumulate(t_ns), latest)
         self._latest[key] = int(highest[-1])
@@ -61,25 +61,25 @@ class _Mf4:
         return good
 
     def close(self) -> None:
-        """Make the file whole."""
+        """Write the file and close it."""
         with contextlib.closing(self._mdf):
             self._mdf.save(self._path, overwrite=True, compression=2)
 
 
 class Mf4Signals(_Mf4):
-    """A channel group per message and bus; units and comments as in the DBC.
+    """Decoded signals: a channel group per message and bus; units and comments as in the DBC.
 
-    What is not valid has its invalidation bit set, and is NaN for who does not look at that.
+    A missing value has its invalidation bit set, and is NaN for readers that ignore this bit.
     """
 
     def __init__(self, path: Path, decoder: Decoder, comments: Comments) -> None:
-        """Nothing is at `path` before `close`."""
+        """Prepare the file, which is at `path` only after `close`."""
         super().__init__(path)
         self._decoder = decoder
         self._comments = comments
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append the frames' signals."""
         done = self._decoder.decode(block)
         frames = done.frames
         if frames.size:
@@ -132,7 +132,7 @@ class Mf4Signals(_Mf4):
 def _cells(
     done: Decoded, message: MessageSpec, place: int, rows: NDArray[np.int64]
 ) -> tuple[Any, NDArray[np.bool_]]:
-    """Values of a signal, and which are none."""
+    """(values of a signal in these rows, mask of the missing ones)."""
     values = done.value[rows, place]
     missing = np.isnan(values)
     signal = message.signals[place]
@@ -144,9 +144,9 @@ def _cells(
 
 
 def _names(signal: SignalSpec) -> dict[str, Any] | None:
-    """Labels of a state as MF4's table of value and text; None for a number.
+    """Labels of a state as MF4's value-to-text table; None for a signal that is a number.
 
-    A state has a label for every valid value: what the table lacks would be shown as nothing.
+    A state has a label for every valid value, because a value not in the table would show no text.
     """
     labels = labels_of(signal)
     named = sum(signal.raw_min <= raw <= signal.raw_max for raw in labels)
@@ -160,17 +160,17 @@ def _names(signal: SignalSpec) -> dict[str, Any] | None:
 
 
 class Mf4Frames(_Mf4):
-    """Bus logging: what MF4 tools decode with a DBC of their own, and python-can reads."""
+    """Frames as bus logging, for MF4 tools, which decode with their own DBC, and for python-can."""
 
     def __init__(self, path: Path) -> None:
-        """Nothing is at `path` before `close`."""
+        """Prepare the file, which is at `path` only after `close`."""
         super().__init__(path)
         self.reduced: Counter[str] = Counter()
-        """Frames of which something is not kept, by what."""
+        """Frames of which a property is not kept, by property."""
         self._channels = ChannelNumbers(_MOST_CHANNEL)
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
         if block.size:
             self._seconds(block.t_ns)
         kind = np.where(block.flags & ERROR, 1, np.where(block.flags & REMOTE, 2, 0))
@@ -197,7 +197,7 @@ class Mf4Frames(_Mf4):
 
 
 def _records(name: str, block: Block, numbers: list[int]) -> NDArray[np.void]:
-    """ASAM's record of a frame; remote frames have no data. numbers: of the block's channels."""
+    """ASAM's records of frames; remote frames have no data. numbers: of the block's channels."""
     from can.util import len2dlc
 
     from dbc.logs.python_can import mf4_module

@@ -1,8 +1,8 @@
-"""From a long log to a short one in which a flag changes as it did: `traction-gateway shrink`.
+"""Shrinks a long log to a short one with the same change of a flag: `traction-gateway shrink`.
 
 The log is replayed up to a moment before the evidence for the change began; the state of the
-gateway there is the start record. Of the frames from there to the flag, as many are left out as can
-be, while the flag changes in the same ticks and the flag frame has the same bytes.
+gateway there is the start record. Of the frames from there to the flag, as many as possible are
+left out, while the flag changes in the same ticks and the flag frame has the same bytes.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from gateway.logfiles.ddmin import Mask, minimise
 from gateway.settings.config import Config, ConfigError
 
 SENT_IN: Final = {FlagKind.ADHESION: "Gateway_Adhesion", FlagKind.THERMAL: "Gateway_Faults"}
-"""Which flags can be asked for, and the message that carries each."""
+"""Flags that can be requested, and the message that carries each."""
 NEAR_NS: Final[Nanos] = SECOND // 20
-"""A change so far from the time that was asked for is the one that is meant."""
+"""Largest distance of a change from the requested time."""
 SHOWN: Final = 5
 MICROSECOND: Final[Nanos] = 1000
 STEPS: Final = ("looking for the change", "replay up to the evidence", "leaving frames out")
-"""What `shrink` does, one after the other."""
+"""Steps of `shrink`, in order."""
 MOST_WORK: Final = 25_000_000
-"""Frames that all trials together may replay, about 40 s; what is left then stays."""
+"""Frames that all trials together may replay, about 40 s; the frames left by then stay."""
 TRIAL_WORK: Final = 1500
-"""Frames that cost as much as a trial without any."""
+"""Fixed cost of a trial, in frames."""
 
 
 class Wanted(NamedTuple):
-    """A flag of a drive, and about when it changes, s since the first frame of the log."""
+    """A flag of a drive, and the approximate time of its change, s after the log's first frame."""
 
     kind: FlagKind
     node: int
@@ -49,12 +49,12 @@ class Wanted(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For people."""
+        """The flag and drive in words."""
         return f"{self.kind.name.lower()} of drive {self.node}"
 
 
 class Change(NamedTuple):
-    """A flag has another state since the tick at `now_ns`, by evidence since `since_ns`."""
+    """State of a flag from the tick at `now_ns` on, by evidence since `since_ns`."""
 
     now_ns: Nanos
     since_ns: Nanos
@@ -62,17 +62,18 @@ class Change(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What has to stay as it is: the flag's changes, tick and state, and the flag frame."""
+    """Result of a trial that must stay the same: the flag's (tick, state), and the flag frame."""
 
     changes: tuple[tuple[Nanos, int], ...]
     frame: Frame | None
 
 
 class Shrunk(NamedTuple):
-    """What is left, and where it is from.
+    """A shrunk log and its origin.
 
-    gateway, start: whose state the start record is; frames: those that are needed, of `total` in
-    the log; flag_frame: what the gateway sends after them; word: the flag's state.
+    gateway, start: the start record's gateway and state; frames: those needed, of `total` in the
+    log, whose first stamp is `first_ns`; flag_frame: sent by the gateway after them; word: label of
+    the flag's state.
     """
 
     gateway: Gateway
@@ -89,11 +90,11 @@ def shrink(
     path: Path, config: Config, codec: Codec, wanted: Wanted, before_ns: Nanos,
     channel: str | None = None, step: Callable[[str], None] = lambda _what: None,
 ) -> Shrunk:  # fmt: skip
-    """The shortest log that was found. before_ns: how long before the evidence it begins.
+    """Return the shortest log found. before_ns: time from its start to the start of the evidence.
 
     step: called with each of `STEPS` before it begins.
-    Raises ConfigError for a drive that there is not and for a gateway with a state that no start
-    record can hold, BadLogError where the flag does not change or the log cannot be shrunk.
+    Raises ConfigError for a drive that is not configured and for a gateway whose state no start
+    record can hold, BadLogError if the flag does not change or the log cannot be shrunk.
     """
     if wanted.node not in config.nodes:
         nodes = ", ".join(map(str, config.nodes))
@@ -116,7 +117,7 @@ def shrink(
 
 
 class _Log:
-    """A log that is read several times, the gateway that it is replayed into, the wanted flag."""
+    """A log, which is read several times, with the gateway's configuration and the wanted flag."""
 
     def __init__(
         self, path: Path, config: Config, codec: Codec, wanted: Wanted, channel: str | None
@@ -132,11 +133,11 @@ class _Log:
         self.first_ns = first.t_ns.item(0)
 
     def new(self, start_ns: Nanos) -> Gateway:
-        """A gateway that has received nothing."""
+        """A new gateway, which has received nothing."""
         return Gateway(self._config, self._codec, start_ns)
 
     def changes_into(self, found: list[Change]) -> Callable[[Gateway], None]:
-        """What is to be called after ticks in which a flag changed; it notes those of this one."""
+        """A callback for ticks in which any flag changed; it appends changes of the wanted flag."""
 
         def changed(gateway: Gateway) -> None:
             now = self.state_of_flag(gateway)
@@ -146,12 +147,12 @@ class _Log:
         return changed
 
     def state_of_flag(self, gateway: Gateway) -> Change:
-        """What it says in the last tick."""
+        """The wanted flag as of the last tick."""
         flag = gateway.status.drives["flag"][self._drive, self._wanted.kind]
         return Change(gateway.now_ns, int(flag["since_ns"]), int(flag["state"]))
 
     def find(self) -> tuple[Change, int]:
-        """The change that is meant, and the number of frames in the log."""
+        """(change nearest to the requested time, number of frames in the log)."""
         found: list[Change] = []
         sink = Briefly(lambda _out: None, self.changes_into(found))
         done = replay(self._blocks(), self.new, self.period_ns, sink)
@@ -171,7 +172,7 @@ class _Log:
         return found[0], done.frames
 
     def tail(self, change: Change, before_ns: Nanos) -> tuple[State, Block, Frame]:
-        """The state before the evidence, the frames from there to the flag, and the flag frame."""
+        """(state before the evidence, frames from there to the flag, flag frame)."""
         begin_ns = min(change.since_ns, change.now_ns - self.period_ns) - before_ns
         ticks = max((begin_ns - self.first_ns) // self.period_ns, 0)
         start = _Start(self.first_ns + ticks * self.period_ns)
@@ -205,13 +206,13 @@ class _Log:
         return (block for block in blocks if block.size)
 
     def _blocks(self) -> Iterator[Block]:
-        """Every frame whose time counts, with the stamps that ticks have."""
+        """Every frame that counts for `LogTime`, with stamps in the time of the ticks."""
         clock = LogTime(self.first_ns, self.period_ns)
         return (one.block for one in clock.steady(self._read()) if one.block.size)
 
 
 class _Start:
-    """Keeps the gateway's state after the first tick at or after `next_ns`."""
+    """Records the gateway's state after the first tick at or after `next_ns`."""
 
     def __init__(self, next_ns: Nanos) -> None:
         self.next_ns = next_ns
@@ -224,10 +225,10 @@ class _Start:
 
 
 class _Trial:
-    """Replays some of the frames from the start on, and compares what comes of them."""
+    """Replays some of the frames from the start record on, and compares the outcome."""
 
     def __init__(self, log: _Log, start: State, frames: Block, flag_frame: Frame) -> None:
-        """Raises BadLogError if all of them do not give the flag frame of the whole log."""
+        """Raises BadLogError if all frames together do not give the flag frame of the whole log."""
         self.gateway = log.new(log.first_ns)
         self._log, self._start, self._frames, self._end_ns = log, start, frames, flag_frame.t_ns
         self._work = 0
@@ -237,7 +238,7 @@ class _Trial:
             raise BadLogError(msg)
 
     def holds(self, kept: Mask) -> bool:
-        """Whether these frames give what all of them give; False once `MOST_WORK` is done."""
+        """Whether these frames give the outcome of all frames; False once `MOST_WORK` is done."""
         self._work += TRIAL_WORK + int(kept.sum())
         if self._work > MOST_WORK:
             return False
@@ -259,9 +260,9 @@ class _Trial:
 
 
 def _between(frames: Block, start_ns: Nanos, end_ns: Nanos, period_ns: Nanos) -> Block:
-    """Those behind the start, so that the last tick is that of the end; stamps as candump has them.
+    """Frames after the start, up to the tick at `end_ns`; stamps in microseconds, as in candump.
 
-    Where that tick has no frames, the next one is what makes the replay go as far.
+    If that tick has no frames, the next frame is kept, so that the replay reaches the tick.
     """
     first, last, before = (
         int(np.searchsorted(frames.t_ns, t_ns, "right"))
@@ -270,12 +271,12 @@ def _between(frames: Block, start_ns: Nanos, end_ns: Nanos, period_ns: Nanos) ->
     some = frames.part(first, max(last, before + 1))
     down = some.t_ns // MICROSECOND * MICROSECOND
     ticked_ns = start_ns + (some.t_ns - 1 - start_ns) // period_ns * period_ns
-    # In the same tick as before.
+    # Rounded up where rounding down would move the frame to an earlier tick.
     return some._replace(t_ns=np.where(down > ticked_ns, down, down + MICROSECOND))
 
 
 def _identifiers(frames: Block) -> list[Mask]:
-    """The frames of each identifier, the most frequent first."""
+    """Mask of the frames of each identifier (with flags), the most frequent first."""
     keys = frames.can_id.astype(np.int64) | frames.flags.astype(np.int64) << 32
     found, counts = np.unique(keys, return_counts=True)
     return [keys == found[k] for k in np.argsort(-counts, kind="stable")]

@@ -1,4 +1,4 @@
-"""What `shrink` leaves in a folder: a candump log, a start record, and a pytest file."""
+"""Files that `shrink` writes into a folder: a candump log, a start record, and a pytest file."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ def test_{name}():
 def write_test(
     folder: Path, shrunk: Shrunk, wanted: Wanted, config_file: Path | None, log: Path
 ) -> None:
-    """The three files. config_file: of the configuration, None for the built-in one."""
+    """Write the three files. config_file: the configuration, None for the built-in one.
+
+    Raises BadLogError if a frame cannot be written as candump text.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with whole(folder / LOG) as part, Writer(part) as writer:
         try:

@@ -1,7 +1,7 @@
 """Decoded signals as one wide table, a row per frame: Parquet and CSV.
 
-Columns: time, channel, message, then `Message.Signal` of every message that the log holds; in a
-row only those of its own message have a value, and only where it is valid.
+Columns: time, channel, message, then `Message.Signal` of every message in the log; a row has
+values only for the signals of its own message, and only if they are available.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from gateway.logfiles.signals import Decoded, Decoder, columns, is_exact
 
 _LARGEST: Final = 2.0**64
 _CELLS: Final = 1 << 22
-"""Of a Parquet row group: what is kept in memory, some 40 MB."""
+"""Cells of a Parquet row group, which is kept in memory: some 40 MB."""
 MARKS: Final = "out_of_range"
-"""The last column: the row's signals whose value is outside of its range."""
+"""The last column: names of the row's signals that are out of range or saturated."""
 Comments = dict[str, str]
-"""`Message` and `Message.Signal` -> what the DBC says of it."""
+"""`Message` and `Message.Signal` -> comment in the DBC."""
 
 
 def labels_of(signal: SignalSpec) -> dict[int, str]:
-    """Names of its values, without the not-available code, which is no value."""
+    """Raw value -> label of a signal, without the not-available code, which is no value."""
     return {raw: name for raw, name in signal.labels.items() if raw != signal.not_available}
 
 
@@ -43,7 +43,7 @@ class ParquetSignals(ParquetRows):
     def __init__(
         self, path: Path, decoder: Decoder, messages: Collection[MessageSpec], comments: Comments
     ) -> None:
-        """Creates the file. messages: those that have columns."""
+        """Create the file. messages: those that get columns."""
         import pyarrow as pa
 
         self._decoder = decoder
@@ -69,7 +69,7 @@ class ParquetSignals(ParquetRows):
         super().__init__(path, pa.schema(fields), max(_CELLS // len(fields), 1))
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
         for first in range(0, block.size, self._group):
             self._add(block.part(first, min(first + self._group, block.size)))
 
@@ -105,10 +105,10 @@ def _column(done: Decoded, message: MessageSpec, place: int) -> NDArray[np.float
 
 
 class CsvSignals:
-    """The wide table as text: `t_s` with all nine decimals, units in the header, empty for none."""
+    """The wide table as CSV: `t_s` with nine decimals, units in the header, empty: no value."""
 
     def __init__(self, path: Path, decoder: Decoder, messages: Collection[MessageSpec]) -> None:
-        """Creates the file, gzip by `.gz`. messages: those that have columns."""
+        """Create the file, compressed if it ends in `.gz`. messages: those that get columns."""
         self.written = 0
         self.left_out: Counter[str] = Counter()
         self._decoder = decoder
@@ -129,7 +129,7 @@ class CsvSignals:
         self._rows.writerow(head)
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
         done = self._decoder.decode(block)
         frames, messages = done.frames, self._decoder.codec.messages
         has_marks = np.atleast_1d(done.marked.any(axis=1)).tolist()
@@ -140,7 +140,7 @@ class CsvSignals:
             message = messages[number]
             row = [""] * self._width
             row[:3] = (_seconds(stamps[k]), frames.names[channels[k]], message.name)
-            first = self._first.get(number, 0)  # of a message without signals there is none
+            first = self._first.get(number, 0)  # 0: a message without signals has no column
             for place, value in enumerate(values[: len(message.signals)], first):
                 if value == value:  # noqa: PLR0124 - not NaN
                     row[place] = decimal(value)
@@ -153,18 +153,18 @@ class CsvSignals:
         self.written += frames.size
 
     def close(self) -> None:
-        """Make the file whole."""
+        """Close the file."""
         self._file.close()
 
 
 def decimal(value: float) -> str:
-    """15 digits, as many as any decimal keeps; more where they are those of a whole number."""
+    """15 digits, which a float always preserves; all digits of an integer from 1e15 to 2**64."""
     if 1e15 <= abs(value) < _LARGEST and value.is_integer():
         return f"{value:.0f}"
     return format(value, ".15g")
 
 
 def _seconds(t_ns: int) -> str:
-    """Exact: a float has lost the last two digits at today's dates."""
+    """Seconds with nine decimals, exact; at today's dates a float loses the last two digits."""
     sign, size = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
     return f"{sign}{size // SECOND}.{size % SECOND:09d}"

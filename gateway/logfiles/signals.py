@@ -1,6 +1,6 @@
-"""Blocks of frames as decoded signals, for files, with a count of what a DBC cannot decode.
+"""Decodes blocks of frames to signals, for files, and counts the frames that a DBC cannot decode.
 
-Nothing is judged here: a frame with a wrong checksum or counter is decoded like any other.
+Protection is not checked: a frame with a wrong checksum or counter is decoded like any other.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _FLOAT_BITS: Final = 53
 
 
 class Decoded(NamedTuple):
-    """Frames of a DBC: n of them in their order.
+    """The n frames of a block that a DBC describes, in order, with their signals.
 
-    frames: n frames; message (n,) int32, its `MessageSpec.index`; value (n, S) as
-    `Codec.decode_rows`, NaN where the frame has none; marked (n, S): outside of its range, or at
-    the end of one that saturates; exact: by message and place of a signal whose whole numbers a
-    float cannot hold, (n,) objects: int, or None where there is no value.
+    frames: the n frames; message (n,) int32, their `MessageSpec.index`; value (n, S) as from
+    `Codec.decode_rows`, NaN: no value; marked (n, S): out of range or saturated; exact: by (message
+    index, place) of a signal whose integers a float cannot hold, (n,) objects: int, or None for no
+    value.
     """
 
     frames: Block
@@ -46,22 +46,22 @@ class Decoded(NamedTuple):
     exact: dict[tuple[int, int], NDArray[np.object_]]
 
     def marks(self, k: int, message: MessageSpec) -> str:
-        """Names of the marked signals of a frame, with blanks between."""
+        """Names of the marked signals of frame k, separated by spaces."""
         places = np.flatnonzero(self.marked[k]).tolist()
         return " ".join(message.signals[place].name for place in places)
 
 
 def is_exact(signal: SignalSpec) -> bool:
-    """Whether its whole numbers need more than a float's 53 bits."""
+    """Whether a signal has integers that need more than a float's 53 bits."""
     plain = (signal.scale, signal.offset) == (1, 0) and not signal.is_float
     return plain and signal.length > _FLOAT_BITS
 
 
 class Decoder:
-    """Decodes blocks; `counts` (Match -> frames) and `cells` (Validity -> values) are of all."""
+    """Decodes blocks; `counts` (Match -> frames) and `cells` (Validity -> values) sum over all."""
 
     def __init__(self, codec: Codec) -> None:
-        """Nothing is read."""
+        """Start with all counts at zero."""
         self.codec = codec
         self.counts: Counter[Match] = Counter()
         self.cells: Counter[Validity] = Counter()
@@ -82,7 +82,7 @@ class Decoder:
         self._length = np.array([m.length for m in ordered], dtype=np.int64)
 
     def match(self, block: Block) -> NDArray[np.int32]:
-        """`MessageSpec.index` of every frame, -1 where it is not to be decoded. Counts why."""
+        """`MessageSpec.index` of every frame, -1 if it cannot be decoded; counts every outcome."""
         flags = block.flags
         keys = block.can_id.astype(np.int64) | np.where(flags & EXTENDED, EXTENDED_KEY, 0)
         place = np.searchsorted(self._keys, keys).clip(max=max(len(self._keys) - 1, 0))
@@ -107,7 +107,7 @@ class Decoder:
         return index
 
     def decode(self, block: Block) -> Decoded:
-        """The frames of the DBC among these, decoded."""
+        """Decode the frames of a block that the DBC describes."""
         index = self.match(block)
         good = index >= 0
         frames, index = block.pick(good), index[good]
@@ -135,7 +135,7 @@ class Decoder:
         index: NDArray[np.int32],
         value: NDArray[np.float64],
     ) -> NDArray[np.object_]:
-        """One signal's raw numbers."""
+        """(n,) raw integers of one signal, or None."""
         number, place = key
         message = self.codec.messages[number]
         out = np.full(len(index), None, dtype=object)
@@ -146,7 +146,7 @@ class Decoder:
 
 
 def seen(blocks: Iterable[Block], codec: Codec) -> list[MessageSpec]:
-    """The messages of the DBC that a log holds, in the DBC's order."""
+    """The messages of the DBC that occur in a log, in the DBC's order."""
     decoder = Decoder(codec)
     found: set[int] = set()
     for block in blocks:
@@ -155,7 +155,7 @@ def seen(blocks: Iterable[Block], codec: Codec) -> list[MessageSpec]:
 
 
 def columns(messages: Collection[MessageSpec]) -> Iterator[tuple[str, MessageSpec, int]]:
-    """`Message.Signal`, its message, and its place there."""
+    """(`Message.Signal`, message, place of the signal in it) of every signal."""
     for message in messages:
         for place, signal in enumerate(message.signals):
             yield f"{message.name}.{signal.name}", message, place

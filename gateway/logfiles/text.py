@@ -1,7 +1,8 @@
-"""Frames as text of other programs: Vector's ASC, PEAK's TRC 2.1, python-can's CSV.
+"""Frames in text formats of other programs: Vector's ASC, PEAK's TRC 2.1, python-can's CSV.
 
-Own writers, so that the same frames give the same bytes wherever and whenever: python-can's put the
-time of the export, by the machine's zone, where the log's own belongs (docs/upstream/asc.md).
+The writers are our own, so that the same frames give the same bytes anywhere and at any time:
+python-can's write the time of export, in the local time zone, instead of the log's own time
+(docs/upstream/asc.md).
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MONTHS: Final = (
 )
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _EPOCH_DAYS: Final = 25_569
-"""Of 1970, from 30 December 1899, where TRC's days count from."""
+"""Day number of 1 January 1970 in TRC, which counts days from 30 December 1899."""
 _CODES: Final = {size: code for code, size in enumerate(FD_SIZES)}
 _DAY_NS: Final = 86_400 * SECOND
 _DAY_DIGITS: Final = 14
@@ -54,7 +55,7 @@ Times = NDArray[np.int64]
 
 
 class Form(NamedTuple):
-    """What stands before and behind the data in the lines of frames that differ in them alone."""
+    """Text before and after the data in the lines of frames that differ only in time and data."""
 
     before: str
     behind: str
@@ -62,31 +63,31 @@ class Form(NamedTuple):
 
 
 class TextFile:
-    """What the three share: a file, times from the first frame, counts."""
+    """Base of the three formats: a file, times from the first frame, counts."""
 
     not_held = 0
-    """Flags of frames that the format has no room for."""
+    """Flags (FD, REMOTE, ERROR) of frames that the format cannot hold."""
     has_channel = True
     has_error_class = False
     undirected = 0
     """Flags of frames whose direction is not kept."""
     as_hex = True
     counts_from_first = True
-    """Whether its times have no sign."""
+    """Whether times count from the first frame, without a sign."""
 
     def __init__(self, path: Path) -> None:
-        """Creates the file."""
+        """Create the file."""
         self.written = self._numbered = 0
         self.left_out: Counter[str] = Counter()
         self.reduced: Counter[str] = Counter()
-        """Frames of which something is not kept, by what."""
+        """Frames of which a property is not kept, by property."""
         self._first_ns: Nanos | None = None
         self._channels = ChannelNumbers()
         self._forms: dict[tuple[int, int], Form] = {}
         self._file = path.open("w", encoding="ascii", newline="")
 
     def add(self, block: Block) -> None:
-        """Append."""
+        """Append frames."""
         block = self._representable(block)
         if not block.size:
             return
@@ -96,9 +97,9 @@ class TextFile:
         self._count_reduced(block)
 
     def _text(self, block: Block) -> Iterator[str]:
-        """Its lines."""
+        """Lines of a block."""
         size = min(int(block.length.max()), MAX_DATA_BYTES)
-        # All bytes of the block in one text, of which each line takes its part.
+        # All bytes of the block in one text, from which each line takes its part.
         content = block.data[:, :size].tobytes()
         text, width = (content.hex(" ").upper(), 3) if self.as_hex else (content, 1)
         kinds, first, kind = np.unique(_kinds(block), return_index=True, return_inverse=True)
@@ -118,7 +119,7 @@ class TextFile:
         )
 
     def _form_of(self, kind: int, block: Block, at: int) -> Form:
-        """Of the frames of one kind, of which one is at `at`."""
+        """The form of frames of one kind, such as the frame at `at`."""
         channel = self._channel(block.names[block.channel[at]])
         key = kind & _ALL_BUT_CHANNEL, channel
         form = self._forms.get(key)
@@ -133,7 +134,7 @@ class TextFile:
         return form
 
     def _representable(self, block: Block) -> Block:
-        """The frames for which there is room; the others are counted."""
+        """The frames that the format can hold; the others are counted."""
         for flag, name in ((FD, "fd"), (REMOTE, "remote"), (ERROR, "error")):
             out = block.flags & flag & self.not_held != 0
             if out.any():
@@ -151,7 +152,7 @@ class TextFile:
         return block
 
     def _count_reduced(self, block: Block) -> None:
-        """What is not kept of the frames that were written."""
+        """Count the written frames of which a property is not kept."""
         flags = block.flags
         if not self.has_error_class:
             described = (block.can_id != 0) | (block.length != 0)
@@ -177,17 +178,17 @@ class TextFile:
         raise NotImplementedError
 
     def _form(self, can_id: int, flags: int, length: int, dlc: int, channel: int) -> Form:
-        """What stands before and behind the data of frames of one kind."""
+        """Text before and after the data of frames of one kind."""
         raise NotImplementedError
 
     def _lines(
         self, t_ns: Times, before: list[str], data: list[Any], behind: list[str]
     ) -> Iterator[str]:
-        """data: in hexadecimal with a blank between two bytes, or as bytes; empty where none is."""
+        """Lines. data: hexadecimal with a space between bytes, or bytes (CSV); empty: no data."""
         raise NotImplementedError
 
     def _since_first(self, t_ns: Times) -> NDArray[np.uint64]:
-        """Microseconds, rounded. Without a sign no difference is too large."""
+        """Microseconds since the first frame, rounded; unsigned, so no difference overflows."""
         first = np.uint64(self._start_ns % 2**64)
         return (t_ns.view(np.uint64) - first + np.uint64(500)) // np.uint64(1000)
 
@@ -195,14 +196,14 @@ class TextFile:
         return ""
 
     def close(self) -> None:
-        """Make the file whole."""
+        """Complete the file and close it."""
         if self._first_ns is not None:
             self._file.write(self._tail())
         self._file.close()
 
 
 class AscFile(TextFile):
-    """ASC; its date is that of the first frame, in UTC."""
+    """ASC; the date is that of the first frame, in UTC."""
 
     undirected = ERROR
 
@@ -241,7 +242,7 @@ class AscFile(TextFile):
 
 
 class TrcFile(TextFile):
-    """TRC 2.1; its start is that of the first frame, in UTC."""
+    """TRC 2.1; the start time is that of the first frame, in UTC."""
 
     def _head(self, first_ns: Nanos) -> Iterator[str]:
         days, rest = divmod(first_ns, _DAY_NS)
@@ -303,13 +304,13 @@ class CsvFrames(TextFile):
         size = np.where(negative, np.uint64(0) - size, size)
         whole, part = (each.tolist() for each in divmod(size, np.uint64(SECOND)))
         sign = ["-" if one else "" for one in negative.tolist()]
-        # Each ends with its line's end.
+        # b2a_base64 ends with the line break.
         shown = [b2a_base64(one).decode() for one in data]
         return map("%s%d.%09d%s%s".__mod__, zip(sign, whole, part, before, shown, strict=True))
 
 
 def _kinds(block: Block) -> NDArray[np.uint64]:
-    """(n,): equal for frames that differ in nothing but time and data."""
+    """(n,) keys, equal for frames that differ only in time and data."""
     made = block.channel.astype(np.uint64)
     fields = (block.dlc.view(np.uint8), 8), (block.length, 8), (block.flags, 8), (block.can_id, 29)
     for field, bits in fields:
@@ -318,7 +319,7 @@ def _kinds(block: Block) -> NDArray[np.uint64]:
 
 
 def _with_few_channels(block: Block) -> Iterator[Block]:
-    """In parts whose channels have numbers that `_kinds` has room for."""
+    """The block in parts whose channel numbers fit into the bits that `_kinds` has for them."""
     most = 1 << _CHANNEL_BITS
     if block.channel.max() < most:
         yield block
@@ -335,7 +336,7 @@ def _way(flags: int) -> str:
 
 
 def _date(t_ns: Nanos) -> str:
-    """As Vector writes dates, in UTC and in English whatever the machine's language."""
+    """A date as Vector writes it, in UTC, and in English whatever the machine's language."""
     moment = _EPOCH + timedelta(microseconds=min(max(t_ns, _EARLIEST), _LATEST) // 1000)
     clock = f"{moment:%H:%M:%S}.{moment.microsecond // 1000:03d}"
     day = f"{_DAYS[moment.weekday()]} {_MONTHS[moment.month - 1]} {moment.day:02d}"

@@ -1,4 +1,4 @@
-"""The bench of a test: simulated inverters, a gateway, a bus. Time passes when the test says so."""
+"""The bench of a test: simulated inverters, a gateway, a bus. Only the test lets time pass."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from sim.scenario import Scenario
 from sim.simulation import Simulation
 
 KEPT: Final = 2000
-"""Frames that are kept for a person to look at."""
+"""Frames that are kept for display."""
 SETTLE_S: Final = 5.0
-"""A bench that has not got all its flags good after so long has a problem of its own."""
+"""Time after which a bench whose flags are not all good is at fault itself."""
 
 
 class HilBench:
-    """Inverters and gateway together. `run` is what moves time; everything else looks or acts.
+    """Inverters and gateway together. Time passes only in the `run` methods and `settle`.
 
-    On a bus the gateway is this process's own, or one that runs elsewhere (`own_gateway=False`).
+    On a bus the gateway is this process's own, or an external one (`own_gateway=False`).
     """
 
     def __init__(
@@ -49,11 +49,11 @@ class HilBench:
         self.codec, self.config, self.scenario = codec, config, scenario
         self.nodes = config.nodes[: scenario.drives]
         self.frames: deque[Frame] = deque(maxlen=KEPT)
-        """The last frames on the bus, drives' and gateway's, oldest first."""
+        """The last frames on the bus, of drives and gateway, oldest first."""
         self.lost: dict[int, deque[tuple[Nanos, bool]]] = {
             node: deque(maxlen=KEPT) for node in self.nodes
         }
-        """What is true: who has lost adhesion, every 10 ms of late."""
+        """Latest ground truth by node, every 10 ms: stamp, and whether adhesion is lost."""
         self.now_ns: Nanos = 0
         self.flags = GatewayFlags(self)
         self.inverter = Inverter(simulation, lambda: self.now_s)
@@ -64,13 +64,13 @@ class HilBench:
         return self.now_ns / SECOND
 
     def run(self, seconds: float) -> None:
-        """Let so much time pass."""
+        """Let `seconds` pass."""
         end = self.now_ns + round(seconds * SECOND)
         while self.now_ns < end:
             self._step()
 
     def run_until(self, met: Callable[[], bool], within_s: float) -> bool:
-        """Let time pass until `met()`, at most so long; whether it was."""
+        """Let time pass until `met()`, at most `within_s`; return whether it was met."""
         end = self.now_ns + round(within_s * SECOND)
         while not met():
             if self.now_ns >= end:
@@ -79,7 +79,7 @@ class HilBench:
         return True
 
     def settle(self, within_s: float = SETTLE_S) -> None:
-        """Run until every adhesion flag says good. Raises AssertionError if they do not."""
+        """Run until every adhesion flag is good. Raises AssertionError if one takes too long."""
         for node in self.nodes:
             self.flags.expect_adhering(drive=node, within_ms=1000.0 * within_s)
 
@@ -98,9 +98,9 @@ class HilBench:
 
 
 def scenario_of(tables: Mapping[str, Any], title: str) -> Scenario:
-    """A scenario for a bench: three drives at constant speed on dry rail, unless `tables` say else.
+    """A scenario for a bench: three drives at constant speed on dry rail, changed by `tables`.
 
-    Raises ValueError with all that is wrong.
+    Raises ValueError with every problem.
     """
     from sim.scenario import ScenarioError, parse
 

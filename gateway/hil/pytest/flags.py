@@ -14,14 +14,14 @@ from gateway.reports.expectations import WORDS, FlagTrack
 from gateway.reports.scoring import first
 
 SHOWN_NS: Final[Nanos] = 300 * MS
-"""A picture begins so long before the test began to wait."""
+"""Time that a picture shows before the test began to wait."""
 LAST_FRAMES: Final = 12
 OF_THE_SET: Final = ("common_mode", "comm", "sensor")
-"""Flags of the gateway; the others are a drive's."""
+"""Flags of the whole train; all others belong to a drive."""
 
 
 class Stage(Protocol):
-    """The part of a bench that flags need: what is on it, its time, and that it goes on."""
+    """The part of a bench that flags need: its frames, its time, and a way to let time pass."""
 
     codec: Codec
     nodes: tuple[int, ...]
@@ -33,14 +33,14 @@ class Stage(Protocol):
 
     @property
     def lost(self) -> Mapping[int, Sequence[tuple[Nanos, bool]]]:
-        """What is true, by node: stamps, and whether adhesion was lost."""
+        """Ground truth by node: stamps, and whether adhesion was lost."""
 
     def run_until(self, met: Callable[[], bool], within_s: float) -> bool:
-        """Let time pass until `met()`, at most so long; whether it was."""
+        """Let time pass until `met()`, at most `within_s`; return whether it was met."""
 
 
 class GatewayFlags:
-    """Reads and expects. An `expect_..` lets time pass until it is met, or fails with a picture."""
+    """Flags on the bus. An `expect_..` lets time pass until it is met, or fails with a picture."""
 
     def __init__(self, bench: Stage) -> None:
         """Made by the bench."""
@@ -48,14 +48,14 @@ class GatewayFlags:
         self.track = FlagTrack(bench.codec, bench.nodes)
 
     def now(self, flag: str, drive: int = 0) -> Flag:
-        """Last state on the wire: `adhesion` or `thermal` of a drive; comm, sensor, common_mode."""
+        """Last state received: `adhesion` or `thermal` of a drive; comm, sensor, common_mode."""
         seen = self._seen(flag, drive)
         return seen[-1][1] if seen else Flag.UNKNOWN
 
     def expect(self, flag: str, state: str, *, drive: int = 0, within_ms: float) -> float:
-        """The flag says "good", "bad" or "unknown" within so long from now; how long it took, ms.
+        """Expect a flag to be "good", "bad" or "unknown" within a time; return the time taken, ms.
 
-        The time is that from the last tick before the call to the stamp of the first such frame.
+        The time runs from the last tick before the call to the stamp of the first such frame.
         Raises AssertionError with the last frames and a picture.
         """
         __tracebackhide__ = True
@@ -76,7 +76,7 @@ class GatewayFlags:
         return (at - began) / MS
 
     def expect_never(self, flag: str, state: str, *, drive: int = 0, for_ms: float) -> None:
-        """The flag does not say so for so long from now on; it must be heard all the while."""
+        """Expect a flag not to be in a state for a time, in which flag frames must be received."""
         __tracebackhide__ = True
         bench, began = self._bench, self._bench.now_ns
         wanted = WORDS[state]
@@ -98,34 +98,34 @@ class GatewayFlags:
             )
 
     def expect_lost(self, *, drive: int, within_ms: float) -> float:
-        """`AdhesionLost` within so long from now; how long it took, ms."""
+        """Expect `AdhesionLost` within a time from now; return the time taken, ms."""
         __tracebackhide__ = True
         return self.expect("adhesion", "bad", drive=drive, within_ms=within_ms)
 
     def expect_adhering(self, *, drive: int, within_ms: float) -> float:
-        """`Adhering` within so long from now; how long it took, ms."""
+        """Expect `Adhering` within a time from now; return the time taken, ms."""
         __tracebackhide__ = True
         return self.expect("adhesion", "good", drive=drive, within_ms=within_ms)
 
     def expect_unknown(self, *, drive: int, within_ms: float) -> float:
-        """Adhesion unknown within so long from now; how long it took, ms."""
+        """Expect unknown adhesion within a time from now; return the time taken, ms."""
         __tracebackhide__ = True
         return self.expect("adhesion", "unknown", drive=drive, within_ms=within_ms)
 
     def expect_thermal_fault(self, *, drive: int, within_ms: float) -> float:
-        """A thermal fault of this drive within so long from now; how long it took, ms."""
+        """Expect a thermal fault of a drive within a time from now; return the time taken, ms."""
         __tracebackhide__ = True
         return self.expect("thermal", "bad", drive=drive, within_ms=within_ms)
 
     def expect_never_lost(self, *, drive: int, for_ms: float) -> None:
-        """No `AdhesionLost` of this drive for so long from now on."""
+        """Expect no `AdhesionLost` of a drive for a time from now on."""
         __tracebackhide__ = True
         self.expect_never("adhesion", "bad", drive=drive, for_ms=for_ms)
 
     def expect_known(self, percent: Mapping[str, float], *, since_ns: Nanos = 0) -> None:
-        """Every drive's flag knew for so much of the time, by flag: `{"adhesion": 90}`.
+        """Expect every drive's flag to be known for a percentage of the time: `{"adhesion": 90}`.
 
-        Raises AssertionError with a line for each that did not.
+        since_ns: start of that time. Raises AssertionError with a line per flag that falls short.
         """
         __tracebackhide__ = True
         seen = known.of_frames(self.track.seen, self._bench.nodes, since_ns)

@@ -1,4 +1,4 @@
-"""Options of the pytest command line for the bus."""
+"""Bus and expectations from the pytest command line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 
 def bus_of(config: pytest.Config) -> dict[str, Any] | None:
-    """python-can's options; None: no bus was named, so the virtual clock."""
+    """python-can's options; None if no bus was named, which means the virtual clock."""
     interface = config.getoption("--can-interface")
     if interface is None:
         return None
@@ -22,7 +22,7 @@ def bus_of(config: pytest.Config) -> dict[str, Any] | None:
 
 
 def expected_known(config: pytest.Config) -> dict[str, float]:
-    """Least percent of the time by flag, of `--hil-expect-known`. Raises UsageError."""
+    """Least percentage of known time by flag, from `--hil-expect-known`. Raises UsageError."""
     from argparse import ArgumentTypeError
 
     from gateway.reports.known import wanted

@@ -1,7 +1,7 @@
-"""Our packages beside a user's files of the same names.
+"""Load our packages although a user's files have the same names.
 
-Python searches the folder of a test, and with `python -m pytest` the current one, before installed
-packages: a `sim.py` there is what `import sim` finds, in our modules too.
+Python searches the folder of a test, and with `python -m pytest` the current folder, before the
+installed packages: `import sim` finds a `sim.py` there, even from our own modules.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from typing import Final
 OURS: Final = ("dbc", "estimators", "sim")
 _ROOT: Final = Path(__file__).parents[3]
 _loaded: Final[set[str]] = set()
-"""Those that were hidden, and whose modules are ours by now."""
+"""Packages that were hidden, and of which our modules are loaded now."""
 
 
 class _Finder:
-    """Finds our packages where this one is."""
+    """Finds our packages in the folder of this installation."""
 
     @staticmethod
     def find_spec(name: str, *_: object) -> ModuleSpec | None:
-        """As `importlib.abc.MetaPathFinder` says."""
+        """See `importlib.abc.MetaPathFinder`."""
         return PathFinder.find_spec(name, [str(_ROOT)]) if name in OURS else None
 
 
@@ -41,11 +41,11 @@ def _is_hidden(name: str, folder: Path) -> bool:
 
 
 def load_hidden(folder: Path) -> None:
-    """Load our packages whose names files of the user's have, in this folder or on the path.
+    """Load our packages if files of the user, in this folder or on the path, hide them.
 
-    `import sim` is the user's from then on, and `sim.scenario` ours: Python looks among the loaded
-    modules by the whole name first. So all of them are loaded here, and what imports a package
-    without one. Nothing is done where no name is hidden.
+    Afterwards `import sim` gives the user's module and `sim.scenario` ours, because Python looks up
+    the full name among the loaded modules first. So all modules are loaded here, and those of ours
+    that import a bare package name. Nothing is done if no name is hidden.
     """
     hidden = [name for name in OURS if name not in _loaded and _is_hidden(name, folder)]
     if not hidden:
@@ -57,7 +57,7 @@ def load_hidden(folder: Path) -> None:
     try:
         for name in OURS:
             for module in walk_packages(import_module(name).__path__, f"{name}."):
-                with suppress(ImportError):  # of an extra that is not installed
+                with suppress(ImportError):  # needs an extra that is not installed
                     import_module(module.name)
         import_module("gateway.hil.pytest.scenarios")
         _loaded.update(hidden)

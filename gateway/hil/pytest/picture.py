@@ -16,7 +16,7 @@ LEVELS: Final = " .:-=+*%@"
 
 
 def strip(points: Sequence[tuple[Nanos, Flag]], first: Nanos, last: Nanos) -> str:
-    """A flag over time: `?` unknown, `-` good, `#` bad; blank before it was heard.
+    """A flag over time: `?` unknown, `-` good, `#` bad; blank before the first frame.
 
     points: stamp and state of every frame, in order. A column that holds several states shows the
     worst of them.
@@ -28,7 +28,7 @@ def strip(points: Sequence[tuple[Nanos, Flag]], first: Nanos, last: Nanos) -> st
         end = first + (last - first) * (column + 1) // WIDTH
         seen = [] if state is None else [state]
         while k < len(points) and points[k][0] <= end:
-            # What stood before the column counts only if nothing came in it.
+            # The state before the column counts only if there is no frame in it.
             if points[k][0] > first + (last - first) * column // WIDTH:
                 seen = seen if len(seen) > 1 else []
                 seen.append(points[k][1])
@@ -45,7 +45,7 @@ def _rank(flag: Flag) -> int:
 
 
 def levels(points: Sequence[tuple[Nanos, float]], first: Nanos, last: Nanos) -> str:
-    """A number over time in nine shades, from its least to its most in the strip; blank: none."""
+    """A number over time in shades, from its minimum to its maximum in the strip; blank: none."""
     inside = [(t, v) for t, v in points if first <= t <= last and v == v]  # noqa: PLR0124
     if not inside:
         return " " * WIDTH
@@ -60,7 +60,7 @@ def levels(points: Sequence[tuple[Nanos, float]], first: Nanos, last: Nanos) -> 
 
 
 def axis(first: Nanos, last: Nanos) -> str:
-    """Begin and end of a strip, s."""
+    """Labels of a strip: its beginning and end, s."""
     left, right = f"|{first / 1e9:.3f} s", f"{last / 1e9:.3f} s|"
     return left + right.rjust(WIDTH - len(left))
 
@@ -72,7 +72,7 @@ def candump(frame: Frame, channel: str = "can") -> str:
 
 
 def frame_texts(frames: Iterable[Frame], codec: Codec) -> list[str]:
-    """Frames with their names and, of flags, what they say."""
+    """Frames as lines of text, with their names and, of flag frames, the flags."""
     out = []
     for frame in frames:
         spec = codec.by_id.get(frame.can_id)

@@ -26,11 +26,11 @@ MARK = (
     "expect_known=PERCENT: for how much of the test every adhesion flag must know"
 )
 GLOBS = ("hil_*.toml",)
-"""Nothing wider: pytest loads this in any project of the environment, which has TOML of its own."""
+"""No wider pattern: pytest loads this plugin in any project, and these have TOML files too."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--can-interface` and what belongs to it."""
+    """Add `--can-interface` and the options that belong to it."""
     group = parser.getgroup("hil", "traction-gateway: hardware-in-the-loop tests")
     group.addoption("--can-interface", metavar="NAME",
                     help="run HIL tests in real time on this python-can interface "
@@ -51,7 +51,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The marker, and options that go together."""
+    """Register the marker, and check options that depend on each other."""
     config.addinivalue_line("markers", MARK)
     bus = bus_of(config)
     if bus is None and (config.getoption("--can-channel") or config.getoption("--can-fd")):
@@ -63,7 +63,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
-    """Simulated inverters and a gateway, all flags good; `@pytest.mark.hil(..)` says which."""
+    """Simulated inverters and a gateway, all flags good; `@pytest.mark.hil(..)` configures them."""
     load_hidden(request.path.parent)
     from gateway.hil.fitting import fitting
     from gateway.hil.pytest.bench import HilBench, scenario_of
@@ -97,7 +97,7 @@ def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
-    """A test on a bench fails where its flags knew for less of its time than is expected."""
+    """Fail a test on a bench whose flags were known for less of its time than expected."""
     bench = getattr(item, "funcargs", {}).get("hil_bench")
     began_ns = 0 if bench is None else bench.now_ns
     outcome = yield
@@ -130,7 +130,7 @@ def gateway_flags(hil_bench: HilBench) -> GatewayFlags:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-    """A scenario that is named on the command line, or whose name `hil_scenarios` has."""
+    """Collect a scenario named on the command line, or whose name matches `hil_scenarios`."""
     if file_path.suffix != ".toml":
         return None
     named = parent.session.isinitpath(file_path)

@@ -23,7 +23,7 @@ class ScenarioFile(pytest.File):
     """Collects the expectations; runs the scenario once, when the first of them is tested."""
 
     def collect(self) -> Iterator[pytest.Item]:
-        """An item per expectation, or one that says that there is none."""
+        """An item per expectation. Raises CollectError for a bad scenario or one without any."""
         try:
             self.scenario: Scenario = load(self.path)
         except ScenarioError as error:
@@ -38,14 +38,14 @@ class ScenarioFile(pytest.File):
             raise self.CollectError(f"{self.path}: no [[expect]]: nothing would be tested")
 
     def verdicts(self, number: int) -> list[tuple[Verdict, str]]:
-        """Of one expectation, a verdict per drive, each with a picture."""
+        """Verdicts of one expectation, one per drive, each with a picture."""
         if self._outcome is None:
             self._outcome = self._run()
         return self._outcome[number]
 
     @property
     def short(self) -> list[str]:
-        """What knew for less of the scenario than is expected, once it has run."""
+        """A line per flag that was known for less of the time than expected; empty before a run."""
         return self._short
 
     def _run(self) -> list[list[tuple[Verdict, str]]]:
@@ -57,7 +57,7 @@ class ScenarioFile(pytest.File):
         bench = HilBench(self.scenario, config, codec, bus_of(self.config), own_gateway=own)
         pictures: dict[int, str] = {}
         try:
-            # The picture of an expectation is taken when its time is over, not at the end.
+            # The picture of an expectation is taken when its time has passed, not at the end.
             for at, number in sorted(
                 (min(e.after_s + (e.within_ms or 1000.0) / 1000.0, self.scenario.duration_s), k)
                 for k, e in enumerate(self.scenario.expect)
@@ -84,12 +84,12 @@ class ScenarioItem(pytest.Item):
     parent: ScenarioFile
 
     def __init__(self, *, number: int, **more: Any) -> None:
-        """number: which of the file's."""
+        """number: index of the expectation in the file."""
         super().__init__(**more)
         self.number = number
 
     def runtest(self) -> None:
-        """Raises ScenarioFailure where it did not hold for one of its drives."""
+        """Raises ScenarioFailure if it failed for a drive or flags were unknown for too long."""
         verdicts = self.parent.verdicts(self.number)
         if self.parent.short:
             raise ScenarioFailure("\n".join([*self.parent.short, verdicts[0][1]]))
@@ -102,11 +102,11 @@ class ScenarioItem(pytest.Item):
         )
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The report itself, without a traceback through this plugin."""
+        """The text of a ScenarioFailure, without a traceback through this plugin."""
         if isinstance(excinfo.value, ScenarioFailure):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Any, int | None, str]:
-        """Where it stands."""
+        """File, no line, and the name shown in reports."""
         return self.path, None, f"{self.path.name}: {self.name}"

@@ -1,4 +1,4 @@
-"""A real SocketCAN interface for a test, where there is one."""
+"""A real SocketCAN interface for a test, if the machine can have one."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ HOW = "run it inside: `traction-gateway vcan -- python -m pytest`"
 
 
 def interface(*, required: bool) -> Iterator[str]:
-    """Name of a fresh vcan interface, up, with CAN FD; it is gone afterwards.
+    """Name of a fresh vcan interface, up, with CAN FD; it is deleted afterwards.
 
-    Where none can be made the test is skipped with the cause, or fails if `required`.
+    If none can be made, the test is skipped with the cause, or fails if `required`.
     """
     from gateway.hil.vcan.links import Links
     from gateway.hil.vcan.ways import searched

@@ -1,6 +1,6 @@
 """Where the bench of a test runs: on the virtual clock, or on a bus in real time.
 
-Both give, tick by tick, the frames of the drives and those of the gateway.
+Both return, tick by tick, the frames of the drives and those of the gateway.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sim.simulation import Simulation
 
 
 class Tick(NamedTuple):
-    """What went over the bus in a tick; stamps count from the start of the bench."""
+    """Frames on the bus in one tick; stamps count from the start of the bench."""
 
     now_ns: Nanos
     drives: list[Frame]
@@ -33,21 +33,21 @@ class World(Protocol):
 
     @property
     def simulation(self) -> Simulation:
-        """The drives."""
+        """The simulated drives."""
 
     @property
     def period_ns(self) -> Nanos:
-        """Of the gateway's loop."""
+        """Period of the gateway's loop."""
 
     def step(self) -> Tick:
-        """One period further."""
+        """Advance by one period."""
 
     def close(self) -> None:
         """Leave the bus."""
 
 
 class VirtualWorld:
-    """No clock: as fast as the machine can, the same on every run."""
+    """The bench on a virtual clock: as fast as the machine allows, the same on every run."""
 
     def __init__(self, simulation: Simulation, config: Config, codec: Codec) -> None:
         """Raises ConfigError as `Gateway` does."""
@@ -66,11 +66,11 @@ class VirtualWorld:
         return Tick(now, came, self._sent)
 
     def close(self) -> None:
-        """Nothing to leave."""
+        """Do nothing: there is no bus to leave."""
 
 
 class BusWorld:
-    """Real time, on any interface of python-can; the gateway is ours or somebody else's."""
+    """The bench in real time on any python-can interface, with our own or an external gateway."""
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class BusWorld:
         return Tick(now - start, frames, answers)
 
     def _answer(self) -> None:
-        """Our own gateway's tick."""
+        """Run a tick of our own gateway, if there is one."""
         if self._core is None:
             return
         block = self._theirs.receive_block(0.0)

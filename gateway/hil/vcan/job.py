@@ -1,8 +1,8 @@
 """A command with real SocketCAN.
 
-Natively a namespace of its own keeps the interfaces away from those of the machine. Where the
-kernel has no CAN, Debian's user-mode-linux boots (about 4 s) with the host's files as root. What
-the guest's programs write comes through files: its kernel is another one.
+Natively, a network namespace keeps the interfaces apart from those of the machine. If the kernel
+has no CAN, Debian's user-mode-linux boots (about 4 s) with the host's file system as root. Output
+of the guest's programs comes back in files, because the guest has a kernel of its own.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from gateway.hil.vcan.ways import Way, guest, has_amx, searched, way
 
 INIT: Final = Path(__file__).parent / "guest" / "init.sh"
 REGISTERS: Final = Path(__file__).parent / "guest" / "whole_registers.c"
-"""What user-mode-linux needs on a processor with AMX; compiled when a job starts there."""
+"""Library that user-mode-linux needs on a processor with AMX; compiled when a job starts there."""
 MEMORY_MB: Final = 2048
 SHARED: Final = "/dev/shm"  # noqa: S108 the guest's memory: files of a user's own, unlinked at once
 _NAME: Final = re.compile(r"[A-Za-z_]\w*")
 
 
 def script(lines: Sequence[str], environment: Mapping[str, str]) -> str:
-    """Shell lines in this folder and environment, as a file."""
+    """Text of a shell script that runs lines in the current folder and this environment."""
     exports = [
         f"export {key}={shlex.quote(value)}"
         for key, value in environment.items()
@@ -40,17 +40,17 @@ def script(lines: Sequence[str], environment: Mapping[str, str]) -> str:
 
 
 class Job:
-    """A command that runs apart; everything it leaves behind is in `directory`."""
+    """A command in a namespace or guest; all files that it leaves are in `directory`."""
 
     def __init__(
         self, lines: Sequence[str], directory: Path, environment: Mapping[str, str],
         boot: Path = INIT,
     ) -> None:  # fmt: skip
-        """Start it. Raises RuntimeError if there is no way.
+        """Start the command. Raises RuntimeError if neither namespace nor guest is possible.
 
-        lines: of a shell; environment: what they see, and VCAN_INSIDE beside it, `namespace` or
-        `uml`; boot: the guest's first process; another than the usual one always gets a guest, in
-        which the host's files are read-only but for the directory.
+        lines: shell lines; environment: theirs, to which VCAN_INSIDE is added, `namespace` or
+        `uml`; boot: the guest's first process; any but the default always runs in a guest, in which
+        the host's files are read-only, except for the directory.
         """
         self._boot = boot
         chosen = way() if boot == INIT else guest()
@@ -96,7 +96,7 @@ class Job:
         ]
 
     def _needs(self) -> dict[str, str]:
-        """Where the guest's memory goes, which is a file, and help with the registers of AMX."""
+        """Environment of the guest: folder for the file of its memory, library for AMX."""
         needs = {"TMPDIR": str(self.directory)}
         with contextlib.suppress(OSError):
             # /dev/shm of a container is often too small.
@@ -111,11 +111,11 @@ class Job:
         return needs
 
     def running(self) -> bool:
-        """Whether it still runs."""
+        """Whether the job is still running."""
         return self._process.poll() is None
 
     def send(self, number: int) -> None:
-        """A signal to the command and all that it started."""
+        """Send a signal to the command and all processes that it started."""
         name = signal.Signals(number).name.removeprefix("SIG")
         with contextlib.suppress(OSError):  # it has ended
             if self._native:
@@ -132,7 +132,7 @@ class Job:
             return None
 
     def tail(self, lines: int = 30) -> str:
-        """The last lines that the command wrote and, if it left none, of the console."""
+        """Last lines of the command's output and errors; of the console if there are none."""
         found: list[str] = []
         for path in (self.output, self.errors, self._console):
             with contextlib.suppress(OSError):
@@ -142,7 +142,7 @@ class Job:
         return "\n".join(found) or "no output"
 
     def pass_on(self, out: BinaryIO, errors: BinaryIO) -> None:
-        """What it writes, as it comes, until it has ended."""
+        """Copy the command's output and errors as they appear, until it has ended."""
         read = {self.output: 0, self.errors: 0}
         running = True
         while running:
@@ -158,7 +158,7 @@ class Job:
                 time.sleep(0.05)
 
     def stop(self) -> None:
-        """End it, whatever state it is in. The guest's processes are all in one group."""
+        """End the job in any state. The guest's processes are all in one process group."""
         if self.exit_code() is not None:  # it is about to halt
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(timeout=10)
@@ -172,10 +172,10 @@ class Job:
 
 
 def _favour(pid: int) -> None:
-    """Keep the guest on one processor and, where we may, before other work.
+    """Pin the guest to one processor and, if allowed, give it priority over other work.
 
-    It has one processor, and every system call in it passes between two processes of the host:
-    17 us on one processor, 83 us across two (measured; a CAN frame costs two to four of them).
+    The guest has one processor, and its every system call passes between two processes of the host:
+    17 us on one processor, 83 us across two (measured; a CAN frame takes two to four such calls).
     """
     with contextlib.suppress(OSError):  # ended already, or not allowed: slower, not wrong
         os.sched_setaffinity(pid, {_idlest(os.sched_getaffinity(pid))})
@@ -184,7 +184,7 @@ def _favour(pid: int) -> None:
 
 
 def _idlest(processors: set[int]) -> int:
-    """The processor with most idle time in the next moment: other guests keep to theirs."""
+    """The processor that is idle the most in the next 0.2 s: other guests are pinned to theirs."""
 
     def idle() -> dict[int, int]:
         lines = [line.split() for line in Path("/proc/stat").read_text("ascii").splitlines()]

@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 FD_MTU: Final = 72
-"""Of a link that carries CAN FD (Linux's CANFD_MTU)."""
+"""MTU of a link that carries CAN FD (Linux's CANFD_MTU)."""
 LOOPBACK: Final = (
     "ip link set lo multicast on up",
     "ip route add 224.0.0.0/4 dev lo 2>/dev/null",
 )
-"""For buses over multicast, such as python-can's `udp_multicast`; there is no other network."""
+"""Multicast on `lo`, the only network, for buses such as python-can's `udp_multicast`."""
 FAILED: Final = 125
-"""Exit code where the links could not be made, as of `env` and `timeout`."""
+"""Exit code if the links could not be made; `env` and `timeout` use it for their own failure."""
 _NAME: Final = re.compile(r"[A-Za-z0-9_.][A-Za-z0-9_.-]{0,14}")
 
 
 class Links(NamedTuple):
-    """What a command finds: names of vcan links, pairs of vxcan links, names of slcan links.
+    """Links for a command: names of vcan links, pairs of vxcan links, names of slcan links.
 
-    record: file that `candump -L` writes beside it, of all of them; None without.
+    record: file in which `candump -L` records all links meanwhile; None: no record.
     """
 
     vcan: Sequence[str] = ("vcan0",)
@@ -33,7 +33,7 @@ class Links(NamedTuple):
     record: Path | None = None
 
     def problems(self) -> list[str]:
-        """What is wrong with the names and the record, each in a line."""
+        """Problems of the names and the record, one per line."""
         names = [*self.vcan, *(name for pair in self.vxcan for name in pair), *self.slcan]
         odd = [
             f"{name!r} is no name of an interface" for name in names if not _NAME.fullmatch(name)
@@ -45,9 +45,9 @@ class Links(NamedTuple):
         return found
 
     def around(self, command: Sequence[str], fifos: Path) -> list[str]:
-        """Lines that make the links, run the command and end with its exit code.
+        """Shell lines that make the links, run the command and end with its exit code.
 
-        fifos: folder for those of the slcan links.
+        fifos: folder for the FIFOs of the slcan links.
         """
         made = [f"{line} || exit {FAILED}" for line in self.making()]
         for name in self.slcan:
@@ -57,11 +57,11 @@ class Links(NamedTuple):
                 f"{hold} & adapter=$!",
                 f"until [ -p {fifo} ]; do kill -0 $adapter || exit {FAILED}; sleep 0.1; done",
             ]
-        # A signal is for the command: the shell goes on, and ends as that does.
+        # A signal is meant for the command: the shell goes on, and ends with its exit code.
         return ["trap : INT TERM", *LOOPBACK, *made, *self.recorded(shlex.join(command))]
 
     def making(self) -> list[str]:
-        """Lines that make the links of vcan and vxcan."""
+        """Shell lines that make the vcan and vxcan links."""
         up = f"mtu {FD_MTU} up"
         lines = []
         for name in self.vcan:
@@ -72,7 +72,7 @@ class Links(NamedTuple):
         return lines
 
     def recorded(self, command: str) -> list[str]:
-        """Lines that run it, with the record beside it."""
+        """Shell lines that run the command and record meanwhile."""
         if self.record is None:
             return [command]
         listening = "grep -q ' raw$' /proc/net/can/rcvlist_all"
@@ -81,7 +81,7 @@ class Links(NamedTuple):
             f"until {listening}; do kill -0 $candump || exit {FAILED}; sleep 0.05; done",
             command,
             "code=$?",
-            # What it has not read by then would be lost.
+            # Frames that candump has not read by then are lost.
             "sleep 0.2; kill $candump 2>/dev/null; wait $candump",
             "exit $code",
         ]

@@ -1,8 +1,8 @@
-"""A serial CAN adapter at the far end of a pseudo terminal: slcan makes it a link of type `can`.
+"""A simulated serial CAN adapter on a pseudo terminal, which slcan makes a link of type `can`.
 
-Such a link has what vcan has not: error states up to bus-off, error frames, a queue that fills up,
-a plug. `python -m gateway.hil.vcan.slcan can0 FIFO` holds one; each line that is written into the
-fifo is a word of `WORDS`, `unplug`, or text in the adapter's own language (`t18121122`: a frame).
+Unlike vcan, such a link has error states up to bus-off, error frames and a queue that fills up, and
+can be unplugged. `python -m gateway.hil.vcan.slcan can0 FIFO` holds one; each line written to the
+FIFO is a word of `WORDS`, `unplug`, or text in the adapter's protocol (`t18121122`: a frame).
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from typing import Final
 
 TIOCSETD: Final = 0x5423
 N_SLCAN: Final = 17
-"""Line discipline, Linux's `tty.h`."""
+"""Line discipline, from Linux's `tty.h`."""
 WORDS: Final = {
     "active": "sa000000", "warning": "sw000100", "passive": "sp000130", "bus-off": "sb000256",
 }  # fmt: skip
-"""States of the link, with counters of errors as an adapter reports them."""
+"""States of the link, with error counters, as an adapter reports them."""
 
 
 class Adapter:
-    """The far end of an slcan link."""
+    """The adapter's end of an slcan link."""
 
     def __init__(self) -> None:
-        """OSError if there is no slcan, or its link appears outside of this network namespace."""
+        """Raises OSError without slcan, or if its link appears outside this network namespace."""
         before = set(interfaces())
         self.master, self._line = pty.openpty()
         tty.setraw(self.master)
@@ -45,18 +45,18 @@ class Adapter:
         os.set_blocking(self.master, False)
 
     def says(self, text: str) -> None:
-        """What the link is to hear: text in the adapter's language, or one of `WORDS`."""
+        """Send text to the link: a word of `WORDS`, or text in the adapter's protocol."""
         os.write(self.master, WORDS.get(text, text).encode() + b"\r")
 
     def commands(self) -> list[str]:
-        """Complete commands that came down the line, such as `t1A020102`."""
+        """Complete commands received from the link, such as `t1A020102`."""
         try:
             return os.read(self.master, 65536).decode().split("\r")[:-1]
         except BlockingIOError:
             return []
 
     def unplug(self) -> None:
-        """The link is gone."""
+        """Remove the link, as if the adapter were unplugged."""
         if self.master >= 0:
             os.close(self.master)
             os.close(self._line)
@@ -69,7 +69,7 @@ def interfaces() -> list[str]:
 
 
 def hold(name: str, fifo: str) -> None:
-    """Make a link of this name, up, and do what is written into the fifo, until `unplug`."""
+    """Make a link of this name, up, and execute the lines written to the FIFO, until `unplug`."""
     adapter = Adapter()
     for words in (f"set {adapter.name} name {name}", f"set {name} up"):
         subprocess.run(["ip", "link", *words.split()], check=True)
@@ -85,7 +85,7 @@ def hold(name: str, fifo: str) -> None:
 
 
 def _discard(line: int) -> None:
-    """Read what the link sends: a full line would stop it."""
+    """Read and discard what the link sends: a full line would block it."""
     while os.read(line, 65536):
         pass
 

@@ -23,7 +23,7 @@ _PROBE: Final = (
 
 
 class Way(NamedTuple):
-    """How to get at real SocketCAN: `prefix` of a native command, or user-mode-linux."""
+    """A way to real SocketCAN: `prefix` of a native command, or path of user-mode-linux."""
 
     prefix: tuple[str, ...] = ()
     uml: str = ""
@@ -54,24 +54,24 @@ def guest(so_far: str = "") -> Way:
 
 
 def has_amx() -> bool:
-    """Whether the processor has the wide registers that user-mode-linux needs help with."""
+    """Whether the processor has AMX, for whose registers user-mode-linux needs `REGISTERS`."""
     with contextlib.suppress(OSError):
         return "amx_tile" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
     return False
 
 
 def searched() -> dict[str, str]:
-    """The environment, with the folders of system programs in PATH."""
+    """The environment, with the folders of system programs added to PATH."""
     return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"}
 
 
 def tool(name: str) -> str | None:
-    """Path of a program, if there is one of this name."""
+    """Path of a program of this name; None if there is none."""
     return shutil.which(name, path=searched()["PATH"])
 
 
 def _native() -> tuple[tuple[str, ...], str]:
-    """Prefix of commands that run in a namespace with vcan, or why that cannot be."""
+    """Prefix of commands that run in a namespace with vcan, or why that is not possible."""
     if not sys.platform.startswith("linux") or not tool("unshare") or not tool("ip"):
         return (), "no Linux with unshare and ip"
     prefix = ("unshare", "--net") if os.geteuid() == 0 else ("unshare", "--map-root-user", "--net")

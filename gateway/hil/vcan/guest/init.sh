@@ -1,7 +1,7 @@
 #!/bin/sh
 # First process of the user-mode-linux guest: CAN modules, then the job, its exit code, halt.
 # VCAN_JOB (kernel command line) is a directory on the host with `run.sh`; it gets `output`,
-# `errors` and `exit`. A name of a signal that comes down the console goes to the job.
+# `errors` and `exit`. A signal whose name is read from the console is sent to the job.
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 mount -t proc proc /proc
 mount -t sysfs sys /sys
@@ -15,8 +15,8 @@ for module in net/can/can net/can/can-raw net/can/can-bcm net/can/can-gw \
     drivers/net/can/vxcan drivers/net/can/slcan/slcan; do
     insmod "$modules/$module.ko" || echo "cannot load $module"
 done
-# Tests give programs real-time priority so that none waits for another: no ration of it, and the
-# kernel's own thread that delivers frames goes before them (and its queue is no limit).
+# Tests give programs real-time priority so that none waits for another: so it is not rationed, and
+# the kernel thread that delivers frames gets a higher priority (and a queue that is no limit).
 echo -1 >/proc/sys/kernel/sched_rt_runtime_us
 echo 100000 >/proc/sys/net/core/netdev_max_backlog
 for process in /proc/[0-9]*; do

@@ -1,8 +1,8 @@
-/* For user-mode-linux on a host with AMX.
+/* A ptrace() for user-mode-linux on a host with AMX.
  *
- * UML 6.1 saves 2.7 KB of a guest process's vector registers. A host with AMX has 11 KB, reads out
- * any part of them, but sets all or nothing (EFAULT), and UML panics at its first process. Here the
- * rest is filled in with what the process has. UML traces from one thread: one buffer will do.
+ * UML 6.1 saves 2.7 KB of a guest process's vector registers. A host with AMX has 11 KB: it reads
+ * any part of them, but sets only all of them (else EFAULT), and UML panics at its first process.
+ * So this fills in the rest with the process's own values. UML traces from one thread: one buffer.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
