@@ -1,6 +1,6 @@
 """Enumerations of the message set: reasons, health, flags. Values are the contract's, section 1.
 
-They stand in `gateway/core/records.h`.
+They are defined in `gateway/core/records.h`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 from _traction_core import lib
 
 NEVER: Final = -(1 << 63)
-"""In place of a stamp, or an age, that there is not."""
+"""Value of a time stamp or an age that does not exist."""
 
 
 class Flag(IntEnum):
@@ -44,7 +44,7 @@ class Reason(IntEnum):
 
 
 RANKS: Final = tuple(lib.reason_rank(reason) for reason in Reason)
-"""Of a reason's number: lower is worse. The frame's `Reason` is the worst of any unknown drive."""
+"""Rank by a reason's number: lower is worse. A frame's `Reason` is the worst of unknown drives."""
 
 
 class Health(IntEnum):
