@@ -162,7 +162,7 @@ def replay(
     detector: a name of `detectors`, or one of your own: called with an `Evidence`, it returns an
     `Opinion`; the configuration then names `median`. start: a start record of `traction-gateway
     shrink`, from which the gateway goes on.
-    Raises ConfigError or BadLogError, whose text says what to do.
+    Raises ConfigError or BadLogError; the text states the remedy.
     """
     own = None if detector is None or isinstance(detector, str) else detector
     named = detector if isinstance(detector, str) else None if own is None else "median"

@@ -147,7 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _printed(words: list[str]) -> int:
-    """As `_run_command`, then flush the standard output: none may be lost without an error."""
+    """Run the command, then flush standard output: no output may be lost without an error."""
     from gateway.io import endings
 
     try:
@@ -166,7 +166,7 @@ def _printed(words: list[str]) -> int:
 
 
 def _run_command(words: list[str]) -> int:
-    """Run the command. Raises for ends from outside, and for errors of this program."""
+    """Run the command. Lets signals, broken pipes and errors of this program through."""
     from gateway.io import quick_start as leanstart
 
     with leanstart.unsearched():

@@ -154,7 +154,7 @@ class Ecu:
         return self._flag % 3 if fresh else 0
 
     def note_fault(self, fault_class: int, now_ns: Nanos) -> None:
-        """Send EMCY when a fault begins, changes or ends; one that it cannot detect is none."""
+        """Send EMCY when a fault begins, changes or ends; an undetectable one counts as none."""
         known = fault_class if fault_class in EMERGENCY else 1
         if known == self._known_fault:
             return

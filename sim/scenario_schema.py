@@ -177,8 +177,8 @@ class Motion(Strict):
 class Sensors(Strict):
     """`[sensors]`.
 
-    Currents: white noise per phase, offset and gain the same in all, range; `*_within` adds an
-    offset and a gain per drive and phase from the seed, uniform within +- it. Temperatures: noise
+    Currents: white noise per phase, offset and gain the same in all, range; `*_within` draws an
+    offset and a gain per drive and phase from the seed, uniform up to +- it. Temperatures: noise
     and the spread of constant offsets, both one sigma.
     """
 

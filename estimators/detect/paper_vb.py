@@ -34,7 +34,7 @@ from estimators.detect.protocol import Evidence, Opinion, nobody
 
 
 class Params(NamedTuple):
-    """A factor q(mu, Lambda) q(pi), or the prior of the same form, for T ticks.
+    """Parameters of q(mu, Lambda) q(pi), or the prior of the same form, for T ticks.
 
     m (T, 2, D), beta (T, 2), W_inv (T, 2, D, D) the inverse of the paper's W, nu (T, 2),
     alpha (T, 2). Component 0 adheres.

@@ -1,6 +1,6 @@
 """Variational Bayes over the drives' loads: paper `adhesion`, section 4.2, eq. (21)-(47).
 
-The equations are in `variational.c`. The priors are ours, because the paper's never see a partial
+The equations are in `variational.c`. The priors are ours, because the paper's detect no partial
 loss. They state prior knowledge: adhering drives agree to within their spread; a lost drive
 carries anything between no load and the full load; losses are rare. The mean of component 0 starts
 at every drive's load in turn, and the start with the highest lower bound wins, so that a majority

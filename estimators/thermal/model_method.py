@@ -52,7 +52,7 @@ class Calibrated:
 
 @dataclass(frozen=True)
 class Watching:
-    """The same for readings that come every few seconds: `monitor`, sample by sample."""
+    """Calibrated motors for readings every few seconds: `monitor`, sample by sample."""
 
     known: Known
 

@@ -50,7 +50,7 @@ WALK_K, WALK_SHARE = 0.2, 0.03
 CREEP_K_PER_S: Final = 0.003
 """Rate at which a sensor may creep away, for about `MEMORY_S`."""
 WALK_SENSOR_K: Final = 0.3
-"""The same of a sensor's error, K. A larger value takes heat for a creeping sensor less often, but
+"""The same for a sensor's error, K. A larger value takes heat for a creeping sensor less often, but
 a creeping sensor for heat more often: 0.2 misnames 2 % of overheating."""
 CAUGHT_K, RARER = 1.5, 0.1
 """With the step detector: standard deviation of a sensor's first error (it finds larger ones), and
@@ -74,7 +74,7 @@ SIZES_K: Final = np.array(
 """For each mode: mean and standard deviation of a fault's size when it begins, its rate of creep,
 K/s, and its share of all faults (`struct imm_fault`).
 
-The size of heat is K at the mean duty when settled. Heat in a winding or bearing has any power.
+The size of heat is K at the mean duty when settled. Heat in a winding or bearing: any power.
 """
 LOCAL: Final = [1, 3, 4]
 """Modes whose heat enters a single lump: winding, ends."""

@@ -43,7 +43,7 @@ def spacing(record: Record) -> float:
 
 
 def join(runs: Sequence[Record]) -> Record:
-    """Runs of the same train and step, one after another. Raises ValueError for unlike steps."""
+    """Runs of the same train and step, one after another. Raises ValueError for unequal steps."""
     if len({run.step_s for run in runs}) != 1:
         raise ValueError("runs of one step length, at least one, can be joined")
     steps = np.cumsum([0, *(len(run.speed) for run in runs)])

@@ -42,7 +42,7 @@ OWN_SIGMA: Final = np.array([0.15] * RATES + [2.0] * 3)
 CORE_SIGMA: Final = 15.0
 """Prior, K, of a run's first core temperature around that of `model.initial_state`."""
 NOISE_K: Final = 2.0
-"""What the model leaves unexplained, independent from sample to sample."""
+"""Standard deviation of the residuals, taken as independent from sample to sample."""
 MOST_SAMPLES: Final = 400
 DIFFERENCE: Final = 1e-3
 ITERATIONS: Final = 30

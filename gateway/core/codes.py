@@ -59,7 +59,7 @@ class Health(IntEnum):
 
 
 class FaultClass(IntEnum):
-    """What kind of thermal or sensor fault."""
+    """Kind of a thermal or sensor fault."""
 
     UNKNOWN = lib.FAULT_UNKNOWN
     NONE = lib.FAULT_NONE
@@ -76,7 +76,7 @@ SENSOR_FAULTS: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultCl
 
 
 class FaultSensor(IntEnum):
-    """Which sensor a sensor fault is on."""
+    """Sensor that has a sensor fault."""
 
     NONE = lib.FAULT_ON_NONE
     STATOR = lib.FAULT_ON_STATOR

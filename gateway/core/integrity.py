@@ -19,7 +19,7 @@ from gateway.core.codes import NEVER, Reason
 OVERRUN_HOLD_NS: Final[Nanos] = SECOND
 """Time for which an overrun is reported."""
 INTRUDER_HOLD_NS: Final[Nanos] = 10 * SECOND
-"""With `on_intruder = "unknown"`: flags stay unknown so long after an intruder's last frame."""
+"""With `on_intruder = "unknown"`: time for which flags stay unknown after an intruder."""
 LOST_TICKS: Final = 5
 """Ticks with unknown flags after frames were lost unread, which may be of any drive."""
 FOREVER: Final[Nanos] = (1 << 63) - 1

@@ -97,7 +97,7 @@ class MotionMonitor(Addressed):
         self.others: Array = np.full((n, n), np.nan)
         """Rows of all drives' measured speeds, rad/s, when `Motion` of some drive last changed."""
         self.noted, self.taken = np.arange(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
-        """Of every drive: `noted`, its row of `others`; `taken`, workspace."""
+        """`noted`: row of `others` for each drive; `taken`: workspace."""
         self.record = np.zeros(1, MOTION_MONITOR)
         constants = {
             "max_w_e": 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s),

@@ -1,6 +1,6 @@
 """The gateway's own frames: their messages as `gateway/core/transmit.c` sends them.
 
-May know: the message set and `now`. Every value that is not known goes out as its
+May know: the message set and `now`. Every value that is not known is sent as its
 not-available code or as `Unknown`; nothing is ever repeated from an earlier tick.
 """
 

@@ -17,7 +17,7 @@ _REASONS: Final = tuple(Reason)
 _HEALTH: Final = tuple(Health)
 _CLASSES: Final = tuple(FaultClass)
 _SENSORS: Final = tuple(FaultSensor)
-"""By number: the enumerations' own look-up takes longer."""
+"""Members by number, because the enumerations' own look-up takes longer."""
 
 
 class Wear(NamedTuple):

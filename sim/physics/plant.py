@@ -54,7 +54,7 @@ RESTORE_PER_S: Final = 0.7
 RAIL_STEPS: Final = 4
 """Runge-Kutta steps per period on the rail: the contact's time constant goes down to 15 us."""
 CUT_LEVEL: Final = 0.3
-"""What a drive's torque limiter falls to while the gateway says `AdhesionLost`."""
+"""Level that a drive's torque limiter falls to while the gateway sends `AdhesionLost`."""
 
 
 class SlipLimiter(NamedTuple):
@@ -315,7 +315,7 @@ class Plant:
     def _asked(self, drive: int) -> float:
         """The train's demand and, while the train moves, the friction brake's torque, Nm.
 
-        A brake on a train that stands holds: it asks nothing of the rail. A train stands when a
+        At standstill a brake only holds and asks nothing of the rail. A train stands when a
         locked wheel's creep is within 5 %: below 25 mm/s.
         """
         asked = self.demand_nm * float(self.p.share[drive])

@@ -1,8 +1,8 @@
 """Rivals of the thermal method: paper `thermal`, Table 2 (DPCA, DSFA, LSTM, JITL, EKF).
 
 Each one learns from one fault-free run and gives one statistic per sample; the comparison sets the
-alarm limit, by the same rule for all. A rival uses that the motors are alike only if its own
-docstring states it.
+alarm limit, by the same rule for all. A rival exploits that the motors are alike only if its
+own docstring states it.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A row is the variables of the sample and of `lags` before it. T^2 is the distance within the
 components kept, SPE the distance from them; an alarm by either counts.
 
-With the view "others" it uses that the motors are alike.
+With the view "others" it exploits that the motors are alike.
 Tried on seeds 0, 2 .. 8: four views, 0 to 2 lags, 70 to 99 % of variance, means of 0 to 10 % of a
 run; differences to the other motors won by far (mean AUC 0.56 -> 0.88 at 1 Hz), the rest little.
 """
@@ -89,7 +89,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, healthy: Record, kind: str) -> View:
-        """From a fault-free run. Raises ValueError for an unknown kind, or without samples."""
+        """Fit to a fault-free run. Raises ValueError for an unknown kind, or without samples."""
         if kind not in KINDS:
             raise ValueError(f"no view {kind!r}; there are {', '.join(KINDS)}")
         if not len(healthy.at):

@@ -4,7 +4,7 @@ Two layers of slow feature analysis (Wiskott, Sejnowski 2002), with a quadratic 
 them. Monitored as by Shang et al. 2015: S^2 is the power in the slow features, S_e^2 in the fast
 rest. The first layer's features that do not go on to the second layer count as rest, too.
 
-With the view "between" it uses that the motors are alike.
+With the view "between" it exploits that the motors are alike.
 Tried on seeds 0, 2 .. 8: two views, 0 or 1 lags, width 3 to 17, slow 0.3 or 0.5, clipping before
 the expansion, means of 0 to 5 %; width 14 won (mean F at 1 Hz 0.70, of width 3 0.27: false alarms).
 """
@@ -68,7 +68,7 @@ class Slow(NamedTuple):
 
     @classmethod
     def fit(cls, rows: Array, least: float = 1e-4) -> Slow:
-        """From (K, V), K > 1. Directions below `least` of the largest variance are left out."""
+        """Fit to (K, V), K > 1. Directions below `least` of the largest variance are left out."""
         from scipy.linalg import eigh
 
         centre = rows.mean(axis=0)

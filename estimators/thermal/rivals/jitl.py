@@ -3,7 +3,7 @@
 For every sample a local linear model, from the fault-free samples most like it, predicts each
 temperature; the statistic is the norm of the residuals, in standard deviations.
 
-With `others` it uses that the motors are alike.
+With `others` it exploits that the motors are alike.
 Tried on seeds 0, 2 .. 8: 20 to 150 neighbours, ridge 1 or 10, with and without `others` and
 `joint`, means of 0 or 2 %; `others` and `joint` won 0.1 and 0.04 of mean AUC at 1 Hz.
 """
@@ -91,7 +91,7 @@ class Norm(NamedTuple):
 
     @classmethod
     def of(cls, own: Array, own_window: int, window: int, joint: bool) -> Norm:
-        """From (K, V) fault-free residuals, of which `own_window` span as much as `window`."""
+        """From (K, V) fault-free residuals, `own_window` of which span the time of `window`."""
         centre = own.mean(axis=0)
         shape = np.atleast_2d(np.cov(moving(own - centre, own_window), rowvar=False))
         if not joint:

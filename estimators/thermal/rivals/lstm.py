@@ -3,7 +3,7 @@
 It predicts all temperatures from the recent course of the inputs; the statistic is the norm of the
 residual. Derivatives are autograd's; nothing here imports it before `fit`.
 
-With `others` it uses that the motors are alike.
+With `others` it exploits that the motors are alike.
 Tried on seeds 0, 3, 6, 9: 2 to 6 steps, reach 1.5 or 5 %, 8 to 32 units, decay 0 to 0.01, with and
 without `others` and `joint`, means of 2 or 5 %; 3 steps of 32 units won, by little.
 """
