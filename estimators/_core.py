@@ -1,4 +1,4 @@
-"""The compiled core, as far as the maths may know it."""
+"""The part of the compiled core that the estimators use."""
 
 from __future__ import annotations
 

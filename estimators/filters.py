@@ -20,11 +20,11 @@ from dbc.records import (
 from estimators.models.pmsm import Array, Noise
 
 KAPPA: Final = -2.0
-"""Of the UKF: n + kappa = 3, so that the sigma points match the kurtosis of a Gaussian."""
+"""kappa of the UKF: n + kappa = 3, so that the sigma points match the kurtosis of a Gaussian."""
 
 
 def unstarted(n: int) -> Columns:
-    """`struct filter` of N drives without a filter."""
+    """`struct filter` of N drives whose filters have not started."""
     made = zeros(n, FILTER)
     made.P, made.nis, made.r_scale, made.is_finite = np.eye(5), 2.0, 1.0, 1
     return made
@@ -50,7 +50,7 @@ def sample_records(
     """`struct filter_sample` of M samples: drive (M,), u V and i A (M, 2), steps and gap (M,)."""
     made = zeros(len(drive), FILTER_SAMPLE)
     made.drive, made.steps, made.gap, made.nis = drive, steps, gap, np.nan
-    # As they are, whatever they are: a product with 1j makes NaN of infinity.
+    # A view keeps every value as it is: a product with 1j would turn infinity into NaN.
     made.u = np.ascontiguousarray(u, dtype=np.float64).view(np.complex128)[:, 0]
     made.i = np.ascontiguousarray(i, dtype=np.float64).view(np.complex128)[:, 0]
     return made
@@ -62,7 +62,8 @@ def run(
 ) -> None:  # fmt: skip
     """Run filters over M samples, in place; table (N, 7) as `pmsm.table`.
 
-    bits: of the registers; 0: as the processor has them. Raises ValueError if it has none such.
+    bits: width of the vector registers, 0: the best for the processor. Raises ValueError if the
+    processor has no registers of this width.
     """
     given = (
         pointer("struct filter_sample", samples), len(samples), pointer("struct pmsm", table),

@@ -1,9 +1,9 @@
-"""How an estimate of load answers a lost load, and how noisy it is: filters at a steady speed.
+"""Step response and noise of a load estimate: the filters at a steady speed.
 
-In coordinates that turn with the rotor the filter of paper `adhesion`, eq. (11)-(13), is linear and
-constant at a steady speed with i_d = 0, and so is the load observer (`load_observer.c`). From their
-process noise and the assumed noise of the measurement follows the steady gain (Riccati); from the
-gain and the true noise follow the error of the load and the answer to a step of it (Lyapunov).
+In rotor coordinates, at a steady speed with i_d = 0, the filter of paper `adhesion`, eq. (11)-(13),
+is linear and time-invariant, and so is the load observer (`load_observer.c`). The steady gain
+follows from the process noise and the assumed measurement noise (Riccati). The error of the load
+and the response to a step of the load follow from the gain and the true noise (Lyapunov).
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ MOST_STEPS: Final = 4000
 class Steady(NamedTuple):
     """A filter between two measurements. Its last state is the load, Nm.
 
-    speed (n,): from the state to the rotor's speed, rad/s. F (n, n) and Q (n, n): of a sub-step,
-    of which `steps` lie between two measurements; H (m, n); R (m, m): noise of the measurement as
-    the filter assumes it; V (m, m): the true one; W (n, n): true noise that a known input adds
-    between two measurements. adapts: R is scaled up until the innovations fit (`adaptation.c`).
+    speed (n,): row that maps the state to the rotor's speed, rad/s. F (n, n) and Q (n, n): model
+    and process noise of a sub-step, of which `steps` lie between two measurements. H (m, n):
+    measurement matrix. R (m, m): measurement noise as the filter assumes it; V (m, m): the true
+    one; W (n, n): true noise that a known input adds between two measurements. adapts: R is scaled
+    up until the innovations fit (`adaptation.c`).
     """
 
     speed: Array
@@ -40,12 +41,12 @@ class Steady(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Of a `Steady`: A (n, n) from the error after a measurement to that after the next.
+    """Response of a `Steady`: A (n, n) maps the error after a measurement to that after the next.
 
-    noise (n, n): variance that a measurement adds to the error; P (n, n): steady variance of it.
-    within (steps, n): error after the next measurement, where the load steps by 1 before the k-th
-    sub-step of an interval. rest (n, n): what a measurement leaves of an error.
-    out (2, n): errors of load, Nm, and speed, rad/s.
+    noise (n, n): variance that a measurement adds to the error; P (n, n): steady variance of the
+    error. within (steps, n): error after the next measurement if the load steps by 1 Nm before the
+    k-th sub-step of an interval. rest (n, n): maps the error before a measurement to that after it.
+    out (2, n): rows that map an error to the errors of load, Nm, and speed, rad/s.
     """
 
     A: Array
@@ -65,9 +66,10 @@ def ekf(
     motor: Array, Q: Array, R: Array, V: Array, u_var: float, w_e: float, steps: int,
     dt: float,
 ) -> Steady:  # fmt: skip
-    """The filter at w_e rad/s. motor: a row of `pmsm.table`; Q (5,), R (2,) as in `Noise`.
+    """The EKF at w_e rad/s. motor: a row of `pmsm.table`; Q (5,), R (2,) as in `Noise`.
 
-    V (2, 2) A^2; u_var: V^2, of the voltage's quantisation; steps: sub-steps of dt s to a sample.
+    V (2, 2): true noise, A^2; u_var: variance of the voltage's quantisation, V^2; steps: sub-steps
+    of dt s per sample.
     """
     R_s, L_s, psi_f, p, J, B, k_p = motor
     turn = np.eye(5)
@@ -89,9 +91,9 @@ def observer(
     J: float, B: float, load_rate: float, speed_var: tuple[float, float], torque_var: float,
     period_s: float, steps: int,
 ) -> Steady:  # fmt: skip
-    """The load observer. speed_var: as it is assumed, and the true one, (rad/s)^2.
+    """The load observer. speed_var: variance of the speed, assumed and true, (rad/s)^2.
 
-    load_rate Nm^2/s as `struct mechanics`; torque_var: of the measured torque, Nm^2.
+    load_rate: Nm^2/s, as in `struct mechanics`; torque_var: of the measured torque, Nm^2.
     """
     dt = period_s / steps
     F = np.array([[1.0 - B / J * dt, -dt / J], [0.0, 1.0]])
@@ -112,7 +114,7 @@ def observer(
 
 
 def answer(of: Steady) -> Answer:
-    """Gain, noise and answer. Raises ValueError where the load cannot be observed."""
+    """Response and noise of a filter. Raises ValueError if the load cannot be observed."""
     powers = [np.eye(len(of.F))]
     for _ in range(of.steps):
         powers.append(of.F @ powers[-1])
@@ -152,7 +154,7 @@ def _steady(F: Array, Q: Array, P: Array, H: Array, R: Array) -> tuple[Array, Ar
 
 
 def _sum(A: Array, noise: Array) -> Array:
-    """The limit of noise + A noise A' + .. : doubling."""
+    """Limit of noise + A noise A' + .., by doubling."""
     P, step = noise, A
     for _ in range(60):
         P, step = P + step @ P @ step.T, step @ step

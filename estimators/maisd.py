@@ -1,6 +1,6 @@
 """Moving average inter-state standard deviation: paper `thermal`, eq. (29)-(31).
 
-The rules are in `estimators/maisd.c`; here they are for arrays of motors and points.
+The rules are in `estimators/maisd.c`; this module applies them to arrays of motors and points.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ def window(samples: int, motors: int, points: int) -> Array:
 
 
 def compare(mean: Array, known: Flags) -> tuple[Array, Array]:
-    """(31): spread (P,) K over the known motors, NaN of fewer than 2; deviation (M, P) K.
+    """(31): spread (P,) K over the known motors, NaN for fewer than 2; deviation (M, P) K.
 
-    mean: (M, P) centred window averages, K. The deviation is that of each known motor from the
-    median of the *other* known ones, NaN without one: the plain mean is pulled by the fault itself.
+    mean: (M, P) centred window averages, K. The deviation of each known motor is taken from the
+    median of the *other* known ones, because the fault itself pulls the mean; NaN without others.
     """
     motors, points = mean.shape
     spread, deviation = np.empty(points), np.empty(mean.shape)

@@ -14,12 +14,12 @@ _API = (
 
 
 def __getattr__(name: str) -> Any:
-    """The API, loaded when it is asked for: a command imports only what it uses."""
+    """Import a name of the API on first use, so that a command imports only what it uses."""
     if name not in _API:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module("gateway.api"), name)
 
 
 def __dir__() -> list[str]:
-    """For completion in a notebook."""
+    """Names for completion in a notebook."""
     return [*globals(), *_API]

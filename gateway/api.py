@@ -49,22 +49,21 @@ detectors: Final = (*DETECTORS, *WITH_MEMORY)
 
 
 class Run:
-    """What the gateway said in a run, every tick: tables, and how much of the time it knew."""
+    """Output of the gateway in every tick of a run: tables, and the share of time it was known."""
 
     verdicts: tuple[Any, ...] = ()
-    """Of a scenario, one for each expectation and drive: text, passed, detail, delay_ms, limit_ms.
-    """
+    """For a scenario, one per expectation and drive: text, passed, detail, delay_ms, limit_ms."""
 
     def __init__(
         self, title: str, config: Config, codec: Codec, again: Callable[[Reporting], Facts]
     ) -> None:
-        """Empty; `add` takes ticks. again: the same run, for a report."""
+        """Start empty; `add` takes ticks. again: repeats the run, for a report."""
         self.title = title
         self._codec = codec
         self._again = again
         self.config = config
         self.frames: list[Frame] = []
-        """What the gateway sent."""
+        """Frames that the gateway sent."""
         self._flags: list[tuple[Column, ...]] = []
         self._estimates: list[tuple[Column, ...]] = []
         self._noted = Changes()
@@ -73,7 +72,7 @@ class Run:
         self._last_ns = 0
 
     def add(self, gateway: Gateway, sent: Iterable[Frame]) -> None:
-        """Take its last tick, and what it sent in it."""
+        """Add the gateway's last tick, and the frames that it sent in this tick."""
         self._last_ns = gateway.now_ns
         if self._first_ns is None:
             self._first_ns = self._last_ns
@@ -121,7 +120,7 @@ class Run:
         return self.flags.to_pandas().merge(self.estimates.to_pandas(), on=["t_s", "drive"])
 
     def report(self, folder: FilePath) -> Path:
-        """Run once more and write the report that `--results` writes; the path of its HTML.
+        """Run once more and write the report that `--results` writes; return the path of its HTML.
 
         Raises ConfigError without matplotlib, OSError.
         """
@@ -133,12 +132,12 @@ class Run:
         return leave(Path(folder), self.title, [run], single=True)
 
     def __repr__(self) -> str:
-        """One line."""
+        """One line: title, duration, shares of time with known flags."""
         seconds = (self._last_ns - (self._first_ns or 0)) / 1e9
         return f"<{self.title}: {seconds:.2f} s; known: {known.text(self.known)}>"
 
     def _repr_html_(self) -> str:
-        """The changes of flags, for a notebook."""
+        """Table of the changes of flags, for a notebook."""
         first_s = (self._first_ns or 0) / 1e9
         rows = "".join(
             f"<tr><td>{t_ns / 1e9 - first_s:.3f}</td><td>{node}</td><td>{flag}</td>"
@@ -157,13 +156,13 @@ def replay(
     detector: str | Detector | None = None,
     start: FilePath | None = None,
 ) -> Run:
-    """The gateway over a recorded log, in any format that `traction-gateway replay` reads.
+    """Run the gateway over a recorded log, in any format that `traction-gateway replay` reads.
 
-    config: a file, a `Config`, or None for three drives on nodes 1 to 3. channel: of several.
+    config: a file, a `Config`, or None for three drives on nodes 1 to 3. channel: one of several.
     detector: a name of `detectors`, or one of your own: called with an `Evidence`, it returns an
     `Opinion`; the configuration then names `median`. start: a start record of `traction-gateway
     shrink`, from which the gateway goes on.
-    Raises ConfigError or BadLogError, whose text says what to do.
+    Raises ConfigError or BadLogError; the text states the remedy.
     """
     own = None if detector is None or isinstance(detector, str) else detector
     named = detector if isinstance(detector, str) else None if own is None else "median"
@@ -197,16 +196,16 @@ def replay(
 
 
 class Scenario:
-    """A scenario of drives, events and expectations; `run` judges it on a virtual clock."""
+    """A scenario of drives, events and expectations; `run` checks them on a virtual clock."""
 
     def __init__(self, name: FilePath) -> None:
-        """name: a file, or one that ships. Raises ScenarioError."""
+        """name: a file, or a scenario of the package. Raises ScenarioError."""
         from sim.scenario import find
 
         self.scenario = find(str(name))
 
     def run(self, config: FilePath | None = None) -> Judged:
-        """The simulated drives against the gateway. Raises ConfigError."""
+        """Run the simulated drives against the gateway. Raises ConfigError."""
         from gateway.hil.bench import run_virtual
         from gateway.hil.fitting import fitting
         from gateway.hil.own_motor import with_motor_of
@@ -242,7 +241,7 @@ class Judged(Run):
 
 
 def scenario(name: FilePath) -> Scenario:
-    """A scenario file, or one that ships: `gateway.scenario("release").run()`."""
+    """A scenario from a file or of the package: `gateway.scenario("release").run()`."""
     return Scenario(name)
 
 
@@ -270,7 +269,7 @@ def _table(names: Sequence[str], columns: Sequence[Column | tuple[object, ...]])
     columns = columns or ((),) * len(names)
     kinds = [pa.string() if n in words else pa.float64() if n != "drive" else pa.int64()
              for n in names]  # fmt: skip
-    # NaN, of which arrays are full, is null.
+    # `from_pandas` turns NaN into null.
     arrays = [
         pa.array(column, kind, from_pandas=True)
         for column, kind in zip(columns, kinds, strict=True)

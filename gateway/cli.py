@@ -17,7 +17,7 @@ from itertools import pairwise
 from typing import Any, NoReturn
 
 BEGAN_S = time.monotonic()
-"""When this program started, for what is measured from there."""
+"""Start of this program, monotonic: the time from it is measured."""
 VERBS = {
     "demo": "run the whole system on an embedded bus: simulated drives, gateway, display, picture",
     "run": "run the gateway on a bus",
@@ -46,10 +46,10 @@ VERBS = {
 }
 """Verb -> one line of help; each is the module of that name (`-` is `_`) in `gateway.commands`."""
 _DRIVES = {"demo", "sim", "hil"}
-"""Verbs that simulate drives and read no log: they need python-can, without what is for MF4."""
+"""Verbs that simulate drives and read no log: they need python-can, but not its MF4 part."""
 _SERVICES = (["run"], ["monitor"])
-"""Verbs that go on until they are told to stop: a signal is how they end, and they say how it was.
-"""
+"""Verbs that run until they are stopped: a signal is their normal end, with an exit code of their
+own."""
 
 
 _BRIEF = {
@@ -64,7 +64,7 @@ _BRIEF = {
     "sign",
     "verify",
 }
-"""Verbs that leave nothing behind that works on."""
+"""Verbs that leave no thread or process running, so that the program may end at once."""
 
 
 def _module(verb: str) -> Any:
@@ -72,7 +72,7 @@ def _module(verb: str) -> Any:
 
 
 class _Once(argparse.Action):
-    """An option with a value: given twice, it is refused, not overridden."""
+    """Action of an option with a value: a second value is an error and overrides nothing."""
 
     def __call__(
         self,
@@ -90,9 +90,9 @@ class _Once(argparse.Action):
 
 
 def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentParser:
-    """The parser; only the verb in use is imported, so that `--help` stays quick.
+    """Make the parser; only the verb in use is imported, so that `--help` stays quick.
 
-    Nor are other verbs and options made that no word can be: `whole` makes them all.
+    Verbs and options that the words cannot mean are left out, too; `whole` includes them all.
     """
     asked = words[:1] if words and words[0] in VERBS and not whole else VERBS
     plain = not whole and len(words) == 2 and not words[1].startswith("-")
@@ -124,7 +124,7 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; never lets a traceback of bad input or of a signal reach the user."""
+    """Entry point; the user never gets a traceback from bad input or from a signal."""
     words = list(sys.argv[1:] if argv is None else argv)
     from gateway.io import endings
 
@@ -132,14 +132,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             code = _printed(words)
         except KeyboardInterrupt as error:
-            # A service that is told to stop before it serves has done so.
+            # A service that is stopped before it starts has ended as it should.
             code = 0 if words[:1] in _SERVICES else endings.ended_by(error).code
         except BrokenPipeError:
             code = endings.BROKEN_PIPE
         except Exception:
             if note.ended is None:
                 raise
-            code = note.ended.code  # somebody has made another error of it
+            code = note.ended.code  # it was turned into another error on the way
         if note.ended is not None and words[:1] not in _SERVICES:
             code = note.ended.code
         endings.silence()
@@ -147,7 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _printed(words: list[str]) -> int:
-    """As `_run`, and what it has printed is handed over: none of that may be lost in silence."""
+    """Run the command, then flush standard output: no output may be lost without an error."""
     from gateway.io import endings
 
     try:
@@ -166,7 +166,7 @@ def _printed(words: list[str]) -> int:
 
 
 def _run_command(words: list[str]) -> int:
-    """Do what the words say. Raises what ends the program from outside, and faults of ours."""
+    """Run the command. Lets signals, broken pipes and errors of this program through."""
     from gateway.io import quick_start as leanstart
 
     with leanstart.unsearched():
@@ -192,7 +192,7 @@ def _run_command(words: list[str]) -> int:
         return 2
     levels = (logging.WARNING, logging.INFO, logging.DEBUG)
     logging.getLogger().setLevel(levels[min(options.verbose, 2)])
-    if options.log_format != form:  # was abbreviated
+    if options.log_format != form:  # abbreviated option
         form = options.log_format
         logs.reshape(form)
     command = _module(options.verb)
@@ -218,14 +218,14 @@ def _run_command(words: list[str]) -> int:
 
 
 def _log_format(words: Sequence[str]) -> str:
-    """What is asked for, before there is a parser: making that one may log already."""
+    """The format asked for, before there is a parser: making the parser may already log."""
     pairs = pairwise(words)
     asked = ("--log-format", "json") in pairs or "--log-format=json" in words
     return "json" if asked else "text"
 
 
 def _is_users(error: Exception) -> bool:
-    """True for the errors that say something about the input, not about this program."""
+    """True for an error in the input, False for one in this program."""
     from gateway.settings.config import ConfigError
 
     named = {"DbcMismatch", "BadLogError", "LogError", "ScenarioError"}
@@ -233,7 +233,7 @@ def _is_users(error: Exception) -> bool:
 
 
 def program() -> NoReturn:
-    """The command line as a program of its own."""
+    """Run the command line as a program and exit."""
     code = main()
     if _BRIEF.intersection(sys.argv[1:2]):
         from gateway.io import endings

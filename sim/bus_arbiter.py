@@ -19,7 +19,7 @@ def bits(length: int) -> int:
 
 
 def duration_ns(length: int, flags: int, bitrate: int, data_bitrate: int) -> Nanos:
-    """Time a data frame holds the bus. FD frames: 30 bits at the slow rate, the rest fast."""
+    """Time a data frame holds the bus. FD: 30 bits at the nominal, the rest at the data rate."""
     if not flags & FD:
         return bits(length) * SECOND // bitrate
     data = 8 * length + 36
@@ -27,7 +27,7 @@ def duration_ns(length: int, flags: int, bitrate: int, data_bitrate: int) -> Nan
 
 
 class Arbiter:
-    """Orders what several nodes offer. Deterministic: the same offers give the same stamps."""
+    """Orders the frames of several nodes. Deterministic: the same offers give the same stamps."""
 
     def __init__(self, bitrate: int, data_bitrate: int) -> None:
         """`bitrate` 0: a bus without bit rate, frames arrive when they are offered."""
@@ -40,7 +40,7 @@ class Arbiter:
         self.overwritten = 0
 
     def offer(self, frames: list[Frame]) -> None:
-        """Frames with `t_ns` = the time they are ready, in any order."""
+        """Offer frames, in any order; their `t_ns` is the time at which they are ready."""
         for frame in frames:
             self._count += 1
             heapq.heappush(self._coming, (frame.t_ns, frame.can_id, self._count, frame))

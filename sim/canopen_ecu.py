@@ -31,12 +31,12 @@ Read = Callable[[str], tuple[MessageSpec, bytes] | None]
 
 
 class CanopenNode:
-    """One inverter as a CANopen node. `read` gives (spec, last payload) of a message kind."""
+    """One inverter as a CANopen node. `read` returns (spec, last payload) of a message kind."""
 
     def __init__(
         self, number: int, specs: Mapping[str, MessageSpec], read: Read, *, self_start: bool
     ) -> None:
-        """Boot at time 0: boot-up frame, Pre-operational, Operational too with `self_start`."""
+        """Boot at time 0: boot-up frame, then Pre-operational, or Operational with `self_start`."""
         self._specs, self._read, self._self_start = specs, read, self_start
         self.number = number
         self.state = INITIALISING
@@ -44,14 +44,14 @@ class CanopenNode:
         self._sent: list[tuple[Nanos, int, bytes]] = []
         self._heartbeat_ms = HEARTBEAT_MS
         self._next_ns: Nanos = 0
-        """Of the heartbeat, if it has a period."""
+        """Time of the next heartbeat, if it has a period."""
         self._sdo: SdoServer | None = None
         self._error = 0
         self._boot()
 
     @property
     def operational(self) -> bool:
-        """Whether PDOs are sent and heard."""
+        """Whether PDOs are sent and received."""
         return self.state == OPERATIONAL
 
     def _boot(self) -> None:
@@ -60,7 +60,7 @@ class CanopenNode:
         self.state = OPERATIONAL if self._self_start else PRE_OPERATIONAL
 
     def _set_heartbeat(self, period_ms: int) -> None:
-        """The first one a period from now; none with 0."""
+        """Set the period; the first heartbeat is due one period from now. 0: no heartbeat."""
         self._heartbeat_ms = period_ms
         self._next_ns = self._now_ns + period_ms * MS
 
@@ -76,7 +76,7 @@ class CanopenNode:
         self._now_ns = now_ns
 
     def deliver(self, can_id: int, data: bytes, now_ns: Nanos) -> None:
-        """An NMT command or SDO request; anything else, and anything malformed, is ignored."""
+        """Take an NMT command or SDO request; any other or malformed frame is ignored."""
         if can_id == 0:
             if len(data) == 2:
                 self._command(data[0], data[1], now_ns)
@@ -103,7 +103,7 @@ class CanopenNode:
         return self._sdo
 
     def emergency(self, code: int, register: int, now_ns: Nanos) -> None:
-        """EMCY with error code and register, once per change; code 0 is "error reset"."""
+        """Send EMCY with error code and register; call once per change. Code 0: "error reset"."""
         self._error = register
         self._run_until(now_ns)
         if self.state != STOPPED:

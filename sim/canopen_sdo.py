@@ -1,8 +1,8 @@
 """The SDO server of a simulated inverter: objects as in its EDS, values as the drive has them.
 
 Library `canopen`, LocalNode, on a bus object of ours that collects what is sent. No threads, no
-sockets, no clock. It is made with the first request: reading the EDS takes longer than a short
-simulation. NMT, heartbeat and EMCY are in `sim.canopen_ecu`.
+sockets, no clock. The server is made with the first request, as reading the EDS takes longer than a
+short simulation. NMT, heartbeat and EMCY are in `sim.canopen_ecu`.
 
 May know: CANopen. May not know: the plant.
 """
@@ -43,15 +43,15 @@ class _Bus:
         self.sent.append(bytes(msg.data))
 
     def send_periodic(self, *_: Any) -> _Bus:
-        """A task that sends nothing."""
+        """Return a task that sends nothing."""
         return self
 
     def stop(self) -> None:
-        """End it."""
+        """End the task."""
 
 
 class SdoServer:
-    """Answers the requests to one node. `read` gives (spec, last payload) of a message kind."""
+    """Answers the requests to one node. `read` returns (spec, last payload) of a message kind."""
 
     def __init__(
         self,
@@ -61,12 +61,12 @@ class SdoServer:
         error: Callable[[], int],
         heartbeat: Callable[[int], None],
     ) -> None:
-        """error: gives the error register; heartbeat: takes a period that is written, ms."""
+        """error: returns the error register; heartbeat: takes a period written by a client, ms."""
         self.number = number
         self._specs, self._read = specs, read
         self._error, self._heartbeat = error, heartbeat
         self._bus = _Bus()
-        # Any: the library's types ask for a bus of python-can, and its methods carry none.
+        # Any: the library's types require a bus of python-can, and its methods have no types.
         library: Any = canopen
         self._network = library.Network(self._bus)
         self.node = library.LocalNode(number, _dictionary(number))
@@ -75,7 +75,7 @@ class SdoServer:
         self.node.add_write_callback(self._on_write)
 
     def answer(self, data: bytes, t_s: float) -> list[bytes]:
-        """What is sent in reply to eight bytes; nothing where they are malformed."""
+        """Replies to a request of eight bytes; none if it is malformed."""
         self._bus.sent = []
         self._network.notify(0x600 + self.number, bytearray(data), t_s)
         return self._bus.sent
@@ -85,7 +85,7 @@ class SdoServer:
             self._heartbeat(*struct.unpack_from("<H", data))
 
     def _on_read(self, index: int, subindex: int, **_: object) -> int | None:
-        """Values that live outside the object dictionary; None: the dictionary's own."""
+        """Value of an object outside the dictionary; None: the dictionary has it."""
         if index == 0x1001:
             return self._error()
         if index in TPDO:
@@ -112,7 +112,7 @@ class SdoServer:
 
 @lru_cache(maxsize=128)
 def _dictionary(number: int) -> Any:
-    """Objects of a node, as the EDS has them; a node keeps its values itself."""
+    """Objects of a node, as in the EDS; each node keeps its own values."""
     return canopen.import_od(str(EDS), number)
 
 

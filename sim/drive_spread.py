@@ -1,4 +1,4 @@
-"""What is unlike between the drives of a scenario: motors, shares, wheels, sensors.
+"""Differences between the drives of a scenario: motors, shares, wheels, sensors.
 
 May know: scenarios. May not know: bits, buses, clocks, the plant's state.
 """
@@ -37,7 +37,7 @@ class Variety:
         if scenario.motion.effort_nm is not None:
             self.p.effort_nm = scenario.motion.effort_nm
         self.torque_scale: Array = motor.psi_pm / self.p["psi_pm"]
-        """(N,) torque that a drive believes over what it is."""
+        """(N,) torque that a drive calculates, relative to its true torque."""
         self.offset: Array = sensors.current_offset_a + self._within(
             sensors.current_offset_within_a, _OFFSET, PHASES
         )
@@ -50,7 +50,7 @@ class Variety:
         self._curves: list[Curve] = load.curve
 
     def share(self, t_s: float) -> Array:
-        """(N,) what falls to each drive at this time."""
+        """(N,) share of the load that falls to each drive at this time."""
         out = self._share.copy()
         for curve in self._curves:
             x = (t_s - curve.at_s) / curve.for_s

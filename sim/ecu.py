@@ -1,13 +1,13 @@
-"""The inverter's electronic control unit: what a drive says on the bus and what it obeys.
+"""The inverter's electronic control unit: what a drive sends on the bus and what it obeys.
 
 May know: bits, CANopen, the drive's readings. May not know: how the plant works, the gateway.
 
 It obeys the gateway's flag of its own drive (`Gateway_Adhesion`, protection checked): on
 `AdhesionLost` its torque limiter falls to 30 % within 100 ms, on `Adhering` it returns to 100 %
-over 1 s. On unknown, on a bad frame, or when no good flag frame came for 40 ms, the limiter
-returns too and the drive's own slip limiter, where the scenario gives it one, is alone in charge.
+over 1 s. It ignores bad flag frames. If the flag is unknown, or no good flag frame came for 40 ms,
+the limiter returns too, and the drive's own slip limiter, if the scenario has one, acts alone.
 
-With a verifier it obeys no flag frame that `Gateway_Auth` does not vouch for.
+With a verifier it obeys only flag frames that `Gateway_Auth` authenticates.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Ecu:
         self_start: bool,
         verifier: Verifier | None = None,
     ) -> None:
-        """Boots at time 0. verifier: tells which flag frames are genuine; None believes all."""
+        """Boots at time 0. verifier: selects the authentic flag frames; None: all count."""
         self.node, self._wire = node, wire
         self.codec = codec
         prefix = f"Drive{node}_"
@@ -90,13 +90,13 @@ class Ecu:
         return (self.specs[kind], self._protected(kind, *last)) if last is not None else None
 
     def _protected(self, kind: str, instant_ns: Nanos, payload: bytearray) -> bytes:
-        """The counter is the instant's number, so it tells time across losses."""
+        """Add protection; the counter is the instant's number, so it keeps time across losses."""
         spec = self.specs[kind]
         protect(spec, payload, instant_ns // spec.cycle_ns)
         return bytes(payload)
 
     def receive(self, frames: Iterable[Frame], now_ns: Nanos) -> None:
-        """Take what came over the bus; `now_ns` is the time it takes effect."""
+        """Take received frames; `now_ns` is the time at which they take effect."""
         flag_id = self._adhesion.can_id if self._adhesion else -1
         sdo_id = 0x600 + self.node
         for frame in frames:
@@ -110,9 +110,9 @@ class Ecu:
                 self.canopen.deliver(frame.can_id, frame.data, now_ns)
 
     def _verify(self, verifier: Verifier, spec: MessageSpec, frame: Frame, now_ns: Nanos) -> None:
-        """Hold a flag frame back until `Gateway_Auth` vouches for it.
+        """Hold a flag frame back until `Gateway_Auth` authenticates it.
 
-        By the stamps of reception: a program that stalls between the two has lost neither.
+        The stamps of reception count: a program that stalls between the two frames loses neither.
         """
         if len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
             return
@@ -146,7 +146,7 @@ class Ecu:
         return out
 
     def flag(self, t_ns: Nanos) -> int:
-        """What the gateway says of this drive's adhesion: 1 `Adhering`, 2 `AdhesionLost`, else 0.
+        """The gateway's flag of this drive's adhesion: 1 `Adhering`, 2 `AdhesionLost`, else 0.
 
         0 also where no good flag frame came for 40 ms.
         """
@@ -154,7 +154,7 @@ class Ecu:
         return self._flag % 3 if fresh else 0
 
     def note_fault(self, fault_class: int, now_ns: Nanos) -> None:
-        """EMCY when a fault begins, changes or ends; faults it cannot know of are passed over."""
+        """Send EMCY when a fault begins, changes or ends; an undetectable one counts as none."""
         known = fault_class if fault_class in EMERGENCY else 1
         if known == self._known_fault:
             return
@@ -175,7 +175,7 @@ class Ecu:
         return [frame for frame in frames if frame is not None]
 
     def _frame(self, kind: str, instant_ns: Nanos, payload: bytearray) -> Frame | None:
-        """Counter and checksum come last, as the frame is handed over."""
+        """Counter and checksum are added last, when the frame is handed over."""
         self._last[kind] = (instant_ns, payload)
         if not self.canopen.operational:
             return None

@@ -33,8 +33,8 @@ EMERGENCY: Final = {
     OVERHEATING: (0x4310, 0x08), COOLING_LOSS: (0x4380, 0x08), BEARING: (0x7180, 0x20),
     SENSOR_LOST: (0x7380, 0x20),
 }  # fmt: skip
-"""EMCY code and bit of the error register of the faults a drive knows of itself. A stuck or
-biased sensor it cannot see: finding that is the gateway's task."""
+"""EMCY code and bit of the error register of the faults that a drive detects itself. It cannot
+detect a stuck or biased sensor: that is the gateway's task."""
 POINTS: Final = {
     "stator": sensors.STATOR, "drive_end": sensors.DRIVE_END,
     "non_drive_end": sensors.NON_DRIVE_END, "ambient": sensors.AMBIENT,
@@ -58,7 +58,7 @@ class Schedule:
             self._by_kind.setdefault(event.kind, []).append((event, who))
 
     def add(self, event: Event) -> None:
-        """One more event, in its place. Raises ValueError for a drive that there is not."""
+        """Add an event, in order of time. Raises ValueError for a drive that does not exist."""
         who = [d - 1 for d in self._scenario.drives_of(event.drive)]
         if not all(0 <= d < self._n for d in who):
             msg = f"drive {event.drive} is not one of the {self._n} drives"
@@ -90,7 +90,7 @@ class Schedule:
         return out
 
     def losing(self, t_s: float) -> Flags:
-        """(N,) drives under an adhesion loss or disturbance that takes something away now."""
+        """(N,) drives whose load an adhesion loss or disturbance changes now."""
         out = np.zeros(self._n, np.bool_)
         at = np.array([t_s])
         for event, who in self._active("adhesion_loss", t_s):
@@ -179,12 +179,12 @@ class Schedule:
 
     @property
     def has_current_faults(self) -> bool:
-        """Whether `current_faults` ever says anything."""
+        """Whether any event is a fault of a current sensor."""
         return any(e.sensor == "current" for events in self._by_kind.values() for e, _ in events)
 
     @property
     def has_thermal_faults(self) -> bool:
-        """Whether any event ever touches a temperature or its reading."""
+        """Whether any event affects a temperature or its reading."""
         return any(kind in CLASSES for kind in self._by_kind)
 
     def classes(self, t_s: float) -> list[int]:
@@ -199,7 +199,7 @@ class Schedule:
         return out
 
     def touches_wire(self, drive: int) -> bool:
-        """Whether any event ever touches this drive's frames."""
+        """Whether any event affects this drive's frames."""
         kinds = ("silent", "frame_loss", "corrupt")
         return any(drive in who for kind in kinds for _, who in self._by_kind.get(kind, ()))
 
@@ -220,7 +220,7 @@ def _depth(event: Event, t_s: Array) -> Array:
 
 def _shape(event: Event, t_s: Array) -> Array:
     """How far the event is in force, 0..1 (n,), with the linear edges inside it."""
-    # Half a period of grace: times are multiples of it, the event's are the file's decimals.
+    # Half a period of tolerance: `t_s` are multiples of a period, event times are decimals.
     grace = 0.5 * DT
     inside = (t_s >= event.at_s - grace) & (t_s < event.end_s - grace)
     shape = np.ones_like(t_s)
@@ -243,7 +243,7 @@ class WireFaults:
         self.look_again()
 
     def look_again(self) -> None:
-        """Whether this drive's frames are touched at all may have changed."""
+        """Check again whether any event affects this drive's frames."""
         self._quiet = not self._schedule.touches_wire(self._drive)
 
     def _rng(self, purpose: int, can_id: int) -> np.random.Generator:
@@ -269,7 +269,7 @@ class WireFaults:
 
 
 def _flip(data: bytes, rng: np.random.Generator) -> bytes:
-    """1 to 3 different bits the other way round."""
+    """Flip 1 to 3 different bits."""
     damaged = bytearray(data)
     count = min(int(rng.integers(1, 4)), 8 * len(data))
     for bit in rng.choice(8 * len(data), size=count, replace=False).tolist():

@@ -1,4 +1,4 @@
-"""What is really so: the rows of the truth file."""
+"""The ground truth of a run: the rows of the truth file."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ COLUMNS: Final = (
     "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
     "cut", "creep", "train_speed_m_s",
 )  # fmt: skip
-"""Of the truth file."""
+"""Columns of the truth file."""
 GIVEN: Final = 0.95
-"""A drive that makes less of what it is asked for cuts its torque."""
+"""A drive that delivers a smaller share of the demanded torque cuts its torque."""
 
 
 class Truth(NamedTuple):
@@ -35,7 +35,7 @@ class Truth(NamedTuple):
     `depth`: while `lost`, the share of what is asked that does not reach the rail, 0..1; else 0.
     Not in the truth file.
 
-    `given`: the share of what is asked of the motor that it makes, 0..1: less than all where the
+    `given`: the share of the demanded torque that the motor delivers, 0..1: below 1 where the
     drive's own slip limiter, or the gateway's flag, cuts its torque. 1 under a preset load. Not in
     the truth file, which has `cut`: 1 where it is less than 0.95.
 

@@ -38,7 +38,7 @@ POINTS = ("Tstator", "Tde", "Tnde", "Tambient")
 
 
 class Readings:
-    """Sensors of all drives and what has to be remembered between two messages."""
+    """Sensors of all drives, with their memory between two messages."""
 
     def __init__(
         self, scenario: Scenario, schedule: Schedule, heat: ThermalTrain, variety: Variety
@@ -92,7 +92,7 @@ class Readings:
     def motion(self, row: Array) -> list[Values]:
         """Values of Motion, per drive, from the plant's row (N, 10).
 
-        The torque is what the drive makes of its current with its data sheet's flux.
+        The torque is what the drive calculates from its current and the data sheet's flux.
         """
         rpm = row[:, columns.SPEED] * 30.0 / math.pi
         degrees = np.degrees(row[:, columns.ANGLE])
@@ -105,7 +105,7 @@ class Readings:
 
     @staticmethod
     def status(row: Array, mean_i_squared: Array, fault_codes: list[int]) -> list[Values]:
-        """Values of Status, per drive; `mean_i_squared` (N,) of |i|^2, so a phase's rms follows."""
+        """Values of Status, per drive; `mean_i_squared` (N,): mean |i|^2, for a phase's rms."""
         rms = np.sqrt(0.5 * mean_i_squared)
         command = row[:, columns.COMMAND]
         return [

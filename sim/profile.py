@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Profile:
-    """What the train should do and what it meets, at any time."""
+    """The speed wanted and the load met at any time."""
 
     def __init__(self, scenario: Scenario, pole_pairs: int) -> None:
         """`pole_pairs` turns electrical speeds into the rotor's."""

@@ -1,4 +1,4 @@
-"""Scenarios: what the train does, what goes wrong, what the gateway is expected to say.
+"""Scenarios: what the train does, what goes wrong, which flags are expected of the gateway.
 
 A TOML file, read once, validated whole: every problem is listed with its path. The keys of the
 contract are `title`, `seed`, `duration_s`, `drives`, `[[event]]`, `[[expect]]`; everything else has
@@ -76,15 +76,15 @@ class Event(Strict):
     - `bearing` `value` W more friction, or `depth` x 60 W; `sensor` names the end
     - `sensor_bias` `value` K (A for `sensor = "current"`, in phase a), `sensor_stuck`,
       `sensor_lost` (not-available code): `sensor`, default the stator's
-    - `silent`: the drive sends nothing, heartbeat included, and hears nothing
+    - `silent`: the drive sends nothing, heartbeat included, and receives nothing
     - `frame_loss` `depth`: probability that a frame is lost
     - `corrupt` `depth`: probability that 1 to 3 bits flip after the checksum was made
-    - `phase_open`: phase a carries no current (begins and ends on a grid of 10 ms); the drive goes
-      on as if nothing were, and reports the voltage that it commands
+    - `phase_open`: phase a carries no current (begins and ends on a grid of 10 ms); the drive does
+      not detect it, goes on and reports the voltage that it commands
     - `friction_brake` `value` Nm at the motor's shaft, or `depth` x rated torque: brakes the wheel
       beside the motor and can lock it; `ramp_s` as above; in steps of 10 ms. While the brakes of
       all drives are applied, the motors coast (traction interlock: the demand falls to 0 within
-      150 ms). A brake on some drives only drags: the driver does not know of it
+      150 ms). A brake on only some drives drags: the driver does not know of it
     """
 
     at_s: Time
@@ -140,7 +140,7 @@ class Event(Strict):
 
 
 class Expect(Strict):
-    """One `[[expect]]`: what a flag is to say.
+    """One `[[expect]]`: the expected state of a flag.
 
     Between `after_s` and `after_s` + `within_ms` the flag is seen as `is_`; without `within_ms` at
     any time from `after_s` on; with `never = true` at no time from `after_s` on.
@@ -241,7 +241,7 @@ class Scenario(Strict):
         return self
 
     def _vacuous(self) -> Iterator[tuple[int, str]]:
-        """Expectations that would judge nothing, or less than they say: which, and why."""
+        """Expectations that would check nothing, or less than they state: index and reason."""
         for k, expect in enumerate(self.expect):
             if expect.drive == "others" and not self.drives_of("others"):
                 yield k, "drive: events name all drives, there are no others"
@@ -264,7 +264,7 @@ class Scenario(Strict):
 def parse(table: Mapping[str, Any], source: str = "scenario", text: str = "") -> Scenario:
     """Scenario from a table as TOML gives it. Raises ScenarioError listing all that is wrong.
 
-    text: the TOML, for the lines of what is wrong.
+    text: the TOML, for the line numbers of the problems.
     """
     try:
         return Scenario.model_validate(table)
@@ -292,7 +292,7 @@ def find(name: str) -> Scenario:
 
 
 def path_of(name: str) -> Path:
-    """The file that `find` reads, for who wants to name it. Nothing is looked at."""
+    """Path of the file that `find` reads. The file is not opened."""
     if Path(name).is_file() or name.endswith(".toml"):
         return Path(name)
     return _SCENARIOS / f"{name}.toml"
@@ -349,4 +349,4 @@ _BRANCHES: Final = frozenset({
     "literal['all']", "literal['all','others']", "literal['equilibrium','ambient']",
 })  # fmt: skip
 _CHECKED: Final = ("function-after[", "list[function-after[")
-"""Names pydantic adds to a location inside a union; they are no keys of the file."""
+"""Names that pydantic adds to a location inside a union; they are no keys of the file."""

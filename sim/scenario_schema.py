@@ -29,12 +29,12 @@ Within = Annotated[float, Field(ge=0, lt=1)]
 
 
 OWN: Final = ("R_s", "L_s", "psi_pm", "pole_pairs", "J", "I_rated", "T_rated", "U_dc")
-"""What a motor of one's own needs."""
+"""Parameters that are needed for a motor of one's own."""
 _BITRATE: Final = Bounds(10_000, 1_000_000, "bit/s", "in bit/s; 0 for a bus without one, as vcan")
 
 
 class Strict(BaseModel):
-    """Unknown keys are refused; values are frozen."""
+    """Unknown keys are rejected; values are frozen."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False
@@ -81,7 +81,7 @@ class MotorChoice(Strict):
 
     @property
     def machine(self) -> Motor:
-        """What is simulated."""
+        """The motor that is simulated."""
         if not self.own:
             return MOTORS[self.name]
         return Motor(**self.model_dump(exclude={"name"}))
@@ -111,16 +111,16 @@ class Curve(Strict):
 class Load(Strict):
     """`[load]`: what the drives work against.
 
-    `kind = "rail"`: `torque_nm` is what the train resists with, per drive (gradient and running
+    `kind = "rail"`: `torque_nm` is the train's resistance per drive (gradient and running
     resistance). `kind = "preset"`: it is each drive's healthy load. `profile` = [[t_s, Nm], ...]
     replaces it; between the points linear, or with `transition = "normal_cdf"` steps smoothed by
     the normal distribution with standard deviation `smooth_s`. `rail`: condition at the start.
 
-    `share`: what falls to each drive for good, 1 = as the train demands (one number or one per
-    drive). With a preset load that is its load; on the rail its axle load and the torque that it
-    delivers. The command that it reports is the train's all the same. `wheel`: wheel diameters, 1 =
-    nominal; a smaller one turns faster. `*_within` draws a factor of up to 1 +- that per drive from
-    the seed and multiplies.
+    `share`: what falls to each drive permanently, 1 = as the train demands (one number or one per
+    drive). With a preset load this scales its load; on the rail, its axle load and the torque that
+    it delivers. The command that it reports is still the train's. `wheel`: wheel diameters, 1 =
+    nominal; a smaller one turns faster. `*_within` multiplies by a factor within 1 +- its value,
+    drawn per drive from the seed.
     """
 
     kind: Literal["rail", "preset"] = "rail"
@@ -138,7 +138,7 @@ class Load(Strict):
 
     @property
     def differs(self) -> bool:
-        """Whether the drives' healthy loads or speeds are ever unlike."""
+        """Whether the drives' healthy loads or speeds ever differ."""
         plain = self.share == self.wheel == 1.0 and not self.share_within and not self.wheel_within
         return not plain or bool(self.curve)
 
@@ -178,7 +178,7 @@ class Sensors(Strict):
     """`[sensors]`.
 
     Currents: white noise per phase, offset and gain the same in all, range; `*_within` draws an
-    offset and a gain per drive and phase from the seed, uniform up to +- that. Temperatures: noise
+    offset and a gain per drive and phase from the seed, uniform up to +- it. Temperatures: noise
     and the spread of constant offsets, both one sigma.
     """
 
@@ -193,11 +193,11 @@ class Sensors(Strict):
 
 
 class Mismatch(Strict):
-    """`[mismatch]`: how the motors are off their data sheet, which the drives' control goes by.
+    """`[mismatch]`: deviation of the motors from their data sheet, which the drives' control uses.
 
-    Factors on R_s, L_s and psi_pm: one number or one per drive; `*_within` draws a factor of up to
-    1 +- that per drive from the seed and multiplies. A drive whose magnets are weaker than it
-    believes delivers less torque than commanded, and reports (`Motion.Torque`) what it believes.
+    Factors on R_s, L_s and psi_pm: one number or one per drive; `*_within` multiplies by a factor
+    within 1 +- its value, drawn per drive from the seed. A drive with weaker magnets delivers
+    less torque than commanded, but reports (`Motion.Torque`) that of the data sheet's magnets.
     """
 
     R_s: Factors = 1.0
@@ -213,7 +213,7 @@ class ThermalStart(Strict):
 
     `start`: "equilibrium" of the first load and speed, "ambient", or degC for all nodes.
     `ambient_profile` = [[t_s, degC], ...] (linear) replaces `ambient_c` while the train runs.
-    `train_seed` draws what is unlike between motors and sensors: the same train in every scenario.
+    `train_seed` draws the differences of motors and sensors: the same train in every scenario.
     """
 
     start: (

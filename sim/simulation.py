@@ -1,11 +1,11 @@
-"""The simulated train on its bus: `step` takes the gateway's frames and gives the drives'.
+"""The simulated train on its bus: `step` takes the gateway's frames and returns the drives'.
 
 Pure in the gateway's sense: time is an argument, everything random comes from the scenario's
-seed, and how the time is cut into steps changes nothing (frames for the drives apart, which act
-from the start of the step they are given to).
+seed, and how the time is divided into steps changes nothing, except that frames for the drives
+act from the start of the step that they are given to.
 
 The world advances on a grid of 125 us. Sampling instants are exact multiples of a message's cycle
-time; voltages are the mean since the drive's previous sample, currents are those of its end.
+time; voltages are the mean since the drive's previous sample, currents those at the instant.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 PERIOD_NS: Final[Nanos] = 125_000
 BEYOND_ANY: Final = 1e9
-"""A, V, Nm, rad: no drive comes near."""
+"""A, V, Nm, rad: far above any drive's values."""
 TOO_QUICK: Final = (
     "the simulator cannot follow it: its currents grow without bound. With psi_pm, pole_pairs, L_s "
     "and J as they are, rotor and current swing faster than the simulator's steps of 125 us; "
@@ -64,11 +64,11 @@ class Simulation:
         verifier: Callable[[], Verifier] | None = None,
         motor: Motor | None = None,
     ) -> None:
-        """Build the world at rest in time `start_ns`.
+        """Build the world at time `start_ns`.
 
         `nodes`: CANopen numbers of drives 1..n, default 1..n. With `self_start` the drives go
         Operational by themselves, else an NMT master has to start them. `verifier` makes each
-        drive's receiver of authenticated flags; None: flags are believed without. `motor`: of all
+        drive's receiver of authenticated flags; None: flags need no authentication. `motor`: of all
         drives, in place of the scenario's.
 
         Raises ValueError when there are fewer nodes than drives, when the DBC lacks messages of a
@@ -118,9 +118,9 @@ class Simulation:
         return self._now_ns * 1e-9
 
     def inject(self, event: Event) -> None:
-        """Add an event while the world runs; what of it lies in the past did not happen.
+        """Add an event while the world runs; the part of it that lies in the past has no effect.
 
-        Raises ValueError for a drive that there is not, or where the scenario's plant cannot.
+        Raises ValueError for a drive that does not exist, or an event this plant cannot simulate.
         """
         if event.kind == "phase_open" and self._plant is None:
             raise ValueError("traffic = 'slow' knows no phase_open")
@@ -132,7 +132,7 @@ class Simulation:
 
     @property
     def overwritten(self) -> int:
-        """Frames that never got the bus because their successor came first."""
+        """Frames that were never sent because their successor came first."""
         return self._arbiter.overwritten
 
     @property
@@ -153,7 +153,7 @@ class Simulation:
     def step(self, rx_frames: Iterable[Frame], now_ns: Nanos) -> list[Frame]:
         """Advance the world to `now_ns`; frames of the drives with stamps in (last, now], sorted.
 
-        `rx_frames` reach the drives at the start of the step. Going back in time gives nothing.
+        `rx_frames` reach the drives at the start of the step. A step back in time returns nothing.
         """
         rx = tuple(rx_frames)
         if rx:
@@ -174,7 +174,7 @@ class Simulation:
         return out
 
     def _advance(self, count: int) -> None:
-        """`count` periods, not beyond the next multiple of 10 ms."""
+        """Advance by `count` periods, not beyond the next multiple of 10 ms."""
         if self._plant is None:
             self._advance_slow(count)
             return
@@ -191,7 +191,7 @@ class Simulation:
         rails = np.repeat(rail_array(self._rails)[None], count, axis=0)
         carry = self._schedule.carry(t_s, load)
         out = self._plant.advance(w_ref, w_acc, load, carry, cut, rails)
-        if not (np.abs(out) < BEYOND_ANY).all():  # nor is a NaN
+        if not (np.abs(out) < BEYOND_ANY).all():  # false for NaN, too
             raise ScenarioError("motor", [TOO_QUICK])
         self._period += count
         i2 = out[:, :, columns.I_ALPHA] ** 2 + out[:, :, columns.I_BETA] ** 2
@@ -221,12 +221,12 @@ class Simulation:
         self._ready += self._slow_frames(rows, self._period - GRID)
 
     def _remember(self, i2: Array) -> None:
-        """|i|^2 of (n, N) periods, for `Irms`."""
+        """Keep |i|^2 of (n, N) periods, for `Irms`."""
         if "Status" in self._cycles:
             self._i2_status.append(i2)
 
     def _on_grid(self, row: Array, i2: Array) -> None:
-        """Every 10 ms: heat, faults the ECUs know of, truth."""
+        """Every 10 ms: heat, faults that the ECUs detect, truth."""
         now_ns = self._period * PERIOD_NS
         t_s = now_ns * 1e-9
         self._air(t_s)
@@ -249,7 +249,7 @@ class Simulation:
             self._truth.append(Truth(*moves, classes[k], effect[k], deep, *own))
 
     def _air(self, t_s: float) -> None:
-        """The ambient temperature, where it changes."""
+        """Set the ambient temperature, if it changes."""
         points = self.scenario.thermal.ambient_profile
         if points:
             times, values = zip(*points, strict=True)

@@ -1,6 +1,6 @@
 """Detectors of lost adhesion: one protocol, one table of names.
 
-A new detector is one module here, one line in `DETECTORS`, its unit test and one scenario.
+A new detector needs a module here, a line in `DETECTORS`, a unit test and a scenario.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ DETECTORS: dict[str, type[Detector]] = {
     "vmp": MessagePassingDetector,
     "paper_vb": PaperVariationalDetector,
 }
-"""Names as in `[adhesion] detector`; the classes carry the code that goes on the bus."""
+"""Detectors by their name in `[adhesion] detector`; each class has the code sent on the bus."""
 
 WITH_MEMORY: Final[dict[str, type[Detector]]] = {
     "paper_vb_reuse": ReusingVariationalDetector,
     "switching": SwitchingDetector,
 }
-"""Detectors whose answer depends on the calls before: one object for one sequence of ticks."""
+"""Detectors whose result depends on earlier calls: each sequence of ticks needs its own object."""
 
 
 def make(
     name: str, observe: str = "torque", tolerance: float = 0.0, reuse: float = 0.0
 ) -> Detector:
-    """A detector by its name.
+    """Make a detector by its name.
 
-    Of the paper's VB: observe: "torque", "speed" or "both"; tolerance: of the bound that ends the
-    sweeps, 0: five sweeps; reuse: share of the last posterior in the next prior, 0: none, or what
-    `paper_vb_reuse` has of its own.
+    The other arguments belong to the paper's VB. observe: "torque", "speed" or "both"; tolerance:
+    relative rise of the bound below which the sweeps end, 0: five sweeps; reuse: share of the last
+    posterior in the next prior, 0: none, but `paper_vb_reuse` keeps its own default.
 
-    Raises KeyError for an unknown name, TypeError where another detector is given any of these.
+    Raises KeyError for an unknown name, TypeError if another detector gets any of these arguments.
     """
     kind = (DETECTORS | WITH_MEMORY)[name]
     if not issubclass(kind, PaperVariationalDetector):

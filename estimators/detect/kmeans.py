@@ -1,11 +1,12 @@
 """k-means with two clusters over the drives' loads: paper `adhesion`, section 5.
 
-The paper takes scipy's `kmeans2` with two iterations from randomly chosen points. Ours starts
-at the smallest and the largest load: nothing random, and on a line neither cluster can run
-empty. The adhering centroid is that of the larger cluster; of two equal ones, the one with more
-load in either direction; of two with the same load either way, the upper one. A drive exactly
-between the centroids belongs to the lower cluster. The paper gives no threshold: a drive is
-lost when its load falls short of that centroid by more than `threshold` spreads, as in `median`.
+The paper uses scipy's `kmeans2` with two iterations from randomly chosen points. Ours starts at
+the smallest and the largest load: nothing is random, and neither cluster becomes empty unless all
+loads are equal. The adhering centroid is that of the larger cluster. If both clusters have the
+same size, it is the centroid of larger magnitude; if the magnitudes are equal too, the upper one.
+A drive exactly between the centroids belongs to the lower cluster. The paper gives no threshold:
+a drive is lost when its load falls short of the adhering centroid by more than `threshold`
+spreads, as in `median`.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ class Clusters(NamedTuple):
 
 
 def clusters(x: Array, iterations: int = ITERATIONS) -> Clusters:
-    """Loads (T, N): of every tick what scipy's `kmeans2` finds from these starts.
+    """Cluster the loads (T, N) of each tick as scipy's `kmeans2` does from these starts.
 
-    Not by `kmeans2`: where distances overflow it leaves its labels unset and crashes on them.
+    `kmeans2` itself is not used: if distances overflow, it leaves labels unset and crashes on them.
     """
     centroid = np.stack([x.min(axis=-1), x.max(axis=-1)], axis=-1)
     label = np.zeros(x.shape, dtype=np.int64)
@@ -45,13 +46,13 @@ def clusters(x: Array, iterations: int = ITERATIONS) -> Clusters:
         upper = label.sum(axis=-1)
         sums = np.stack([np.sum(x * (1 - label), axis=-1), np.sum(x * label, axis=-1)], axis=-1)
         count = np.stack([x.shape[1] - upper, upper], axis=-1)
-        # All loads equal: the upper cluster is empty and stays where it is.
+        # If all loads are equal, the upper cluster is empty and its centroid stays where it is.
         centroid = np.divide(sums, count, out=centroid, where=count > 0)
     return Clusters(centroid, label, adhering(centroid, label))
 
 
 def adhering(centroid: Array, label: NDArray[np.int64]) -> Array:
-    """Centroid (T,) of the larger cluster, ties as in the head of this module."""
+    """Centroid (T,) of the larger cluster; the module docstring has the rule for ties."""
     upper = label.sum(axis=-1)
     lower = label.shape[-1] - upper
     more_load = np.abs(centroid[:, 1]) >= np.abs(centroid[:, 0])
@@ -66,7 +67,7 @@ def global_estimates(load: Array) -> Array:
 
 @dataclass(frozen=True)
 class KMeansDetector:
-    """Lost when the load is `threshold` spreads short of the larger cluster's centroid."""
+    """A drive is lost if its load is `threshold` spreads short of the larger cluster's centroid."""
 
     threshold: float = 3.0
     iterations: int = ITERATIONS
@@ -75,7 +76,7 @@ class KMeansDetector:
     code: ClassVar[int] = 3
 
     def __call__(self, evidence: Evidence) -> Opinion:
-        """See Detector. `lost` is the probability that the true shortfall is beyond it."""
+        """See Detector. `lost` is the probability that the true shortfall exceeds `threshold`."""
         part = paper.taking_part(evidence)
         if np.count_nonzero(part) < 2:
             return nobody(len(part))

@@ -9,9 +9,9 @@ and pi, missing in the paper, are
     pi  -> I_i   [E log(1 - pi), E log pi]
     I_i -> pi    [1 - E I_i, E I_i]
 
-"Arbitrary order" does not mean that the order does not matter: a sweep updates each node once,
-in the `order` given, and other orders end elsewhere. `ORDER` is the one of the 24 that comes
-nearest to the paper's Table 1; docs/papers.md has the numbers.
+The paper's "arbitrary order" does affect the result: a sweep updates each node once, in the
+given `order`, and other orders end elsewhere. Of the 24 orders, `ORDER` comes nearest to the
+paper's Table 1; docs/papers.md has the numbers.
 """
 
 from __future__ import annotations
@@ -66,10 +66,11 @@ def infer_tick(
     sweeps: int = paper.SWEEPS,
     tolerance: float | None = None,
 ) -> tuple[Array, Array, int]:
-    """One tick of x (N,) by `message_passing.c`: r1 = E[I] (N,), m = E[mu] (2,), sweeps made.
+    """Infer one tick of x (N,) in `message_passing.c`: r1 = E[I] (N,), m = E[mu] (2,), sweeps made.
 
-    priors: of T = 1. `tolerance` makes the bound the stopping rule, with `sweeps` as its limit.
-    Raises ValueError for fewer than one sweep, or an order that does not name each node once.
+    priors: those of one tick, T = 1. With a `tolerance` the bound ends the sweeps, after at most
+    `sweeps` of them. Raises ValueError for fewer than one sweep, or for an order that does not name
+    each node once.
     """
     check(order)
     if sweeps < 1:
@@ -87,7 +88,7 @@ def infer_tick(
 
 
 def check(order: Order) -> None:
-    """Raises ValueError unless `order` names each of I, pi, mu, Lambda once."""
+    """Raise ValueError unless `order` names each of I, pi, mu, Lambda once."""
     if sorted(order) != sorted(ORDER):
         raise ValueError(f"a message order names each of {', '.join(ORDER)} once, not {order}")
 
@@ -116,7 +117,7 @@ class MessagePassingDetector:
     code: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        """Raises ValueError for an impossible order, at the start and not in the loop."""
+        """Raise ValueError for an invalid order at the start, not later in the loop."""
         check(self.order)
 
     def __call__(self, evidence: Evidence) -> Opinion:

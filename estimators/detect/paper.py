@@ -1,13 +1,13 @@
-"""What the paper's own detectors share: presets, the sweep loop, the way back to an Opinion.
+"""Common parts of the paper's detectors: presets, the sweep loop, conversion to an Opinion.
 
 Paper `adhesion`, sections 4.2-5; `docs/papers.md` lists the misprints. The modules next door
 (`paper_vb`, `message_passing`, `kmeans`) work on whole records, arrays of T ticks by N drives
-by D observed quantities, and know nothing of evidence; the detectors wrap them with T = 1.
+by D observed quantities, and do not use `Evidence`; the detectors call them with T = 1.
 Component 0 adheres, component 1 has lost adhesion.
 
-Two rules around the paper's methods are ours, because a detector has to answer always: drives
-that are unusable or not finite take no part, and where the common load is within `carried`
-spreads of zero nobody is accused (nothing is carried, so nothing can be missing).
+Two rules around the paper's methods are ours, because a detector must always give a result.
+Drives that are unusable or not finite take no part. Where the common load is within `carried`
+spreads of zero, no drive is lost (the drives carry no load, so no load can be missing).
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ Arrays = tuple[Array, ...]
 SWEEPS: Final = 5
 """The paper's fixed number of sweeps, section 5."""
 MOST_SWEEPS: Final = 100
-"""Limit of the sweeps where the bound ends them."""
+"""Largest number of sweeps when the bound ends them."""
 
 UNIT_NM: Final = 30.0
 """Rated torque of the paper's motor: its priors are in Nm, the gateway's loads per unit."""
 
 SLIP: Final = 0.2
-"""Preset of a lost wheel's speed, off the adhering one's. Ours: the paper presets torque only."""
+"""Relative offset of a lost wheel's preset speed. Ours: the paper presets torque only."""
 
 
 OVERFLOW: Final = 1e100
-"""From here on squares overflow: as good as not finite."""
+"""Larger values are treated as not finite, because products of their squares overflow."""
 
 
 class Observe(StrEnum):
-    """What the central unit sees of each drive: paper `adhesion`, start of section 4.2."""
+    """Quantity that the central unit observes of each drive: paper `adhesion`, section 4.2."""
 
     TORQUE = "torque"
     SPEED = "speed"
@@ -61,9 +61,9 @@ def largest(load: Array) -> Array:
 
 
 def preset_means(load: Array, speed: Array | None = None) -> tuple[Array, Array | None]:
-    """Means the components start from: load (T, N) -> (T, 2), speed (T, N) -> (T, 2) or None.
+    """Initial means of the components: load (T, N) -> (T, 2), speed (T, N) -> (T, 2) or None.
 
-    Load: [largest, 0], the paper's. Speed, ours: a lost wheel runs away from the train, so in
+    Load: [largest, 0], as in the paper. Speed (ours): a lost wheel runs away from the train, so in
     traction (sum of load times speed not negative) the slowest adheres and a lost one is `SLIP`
     faster; in braking the fastest adheres and a lost one is `SLIP` slower.
     """
@@ -82,8 +82,8 @@ def preset_means(load: Array, speed: Array | None = None) -> tuple[Array, Array 
 def observations(load: Array, speed: Array | None, observe: Observe) -> tuple[Array, Array]:
     """Observed vectors x (T, N, D) and preset means (T, 2, D); torque first when D = 2.
 
-    load (T, N) Nm, speed (T, N) rad/s. Raises ValueError where `observe` needs a speed and there
-    is none.
+    load (T, N) Nm, speed (T, N) rad/s. Raises ValueError if `observe` needs a speed and
+    `speed` is None.
     """
     if observe is Observe.TORQUE:
         return load[..., None], preset_means(load)[0][..., None]
@@ -113,11 +113,11 @@ def iterate(
 ) -> Run:
     """Repeat `sweep(fixed, state) -> (state, bounds (T, B))` over T ticks at once.
 
-    bounds: the lower bound (18) after each of the sweep's B partial updates. With a `tolerance`
-    a tick stops once a sweep has raised its bound by less than tolerance |bound|; the first
-    sweep counts from its own first partial update, which only weighs the presets. After the
-    stop the history keeps its last value. Without: exactly `sweeps`. A bound that is not a
-    number stops its tick. Raises ValueError for fewer than one sweep.
+    bounds: the lower bound (18) after each of the sweep's B partial updates. Without a `tolerance`
+    exactly `sweeps` are made. With one, a tick stops after a sweep that has raised its bound by
+    less than tolerance |bound|, or whose bound is NaN; the rise of the first sweep counts from its
+    own first partial update, which only weighs the presets. After the stop the history repeats its
+    last value. Raises ValueError for fewer than one sweep.
     """
     if sweeps < 1:
         raise ValueError("at least one sweep is needed")
@@ -151,7 +151,7 @@ def iterate(
 
 
 def taking_part(evidence: Evidence, observe: Observe = Observe.TORQUE) -> Mask:
-    """Drives (N,) whose observation is usable and finite, short of `OVERFLOW`."""
+    """Mask (N,) of the drives whose observation is usable, finite and below `OVERFLOW`."""
     good = evidence.usable & (np.abs(evidence.load) < OVERFLOW)
     if observe is not Observe.TORQUE:
         speed = evidence.speed
@@ -162,7 +162,8 @@ def taking_part(evidence: Evidence, observe: Observe = Observe.TORQUE) -> Mask:
 def opinion(evidence: Evidence, part: Mask, lost: Array, common: float, carried: float) -> Opinion:
     """Opinion over all N drives from the probabilities of the M that took part.
 
-    lost: (M,); common: in the unit of the evidence. Numbers that overflowed are unknown.
+    lost: (M,); common: in the unit of the evidence. A drive whose probability is not finite is
+    unknown; if `common` is not finite, all drives are.
     """
     n = len(evidence.load)
     if not math.isfinite(common):
@@ -170,7 +171,7 @@ def opinion(evidence: Evidence, part: Mask, lost: Array, common: float, carried:
     full = np.zeros(n)
     full[part] = lost
     known = part & np.isfinite(full)
-    # Not "<=": a spread that is not a number accuses nobody.
+    # Negated, so that a drive whose spread is NaN is not lost.
     full[~(known & (abs(common) > carried * evidence.spread))] = 0.0
     return Opinion(np.clip(full, 0.0, 1.0), known, common)
 
@@ -178,8 +179,8 @@ def opinion(evidence: Evidence, part: Mask, lost: Array, common: float, carried:
 def falls_short(load: Array, spread: Array, common: float, threshold: float) -> Array:
     """Probability (M,) that a load lies more than `threshold` spreads below the common one.
 
-    For methods that give a common load and no probability. By `math.erfc`: loading `scipy.special`
-    would cost a quarter second at start.
+    For methods that give a common load but no probability. Uses `math.erfc`, because importing
+    `scipy.special` would take a quarter of a second at the start.
     """
     direction = 1.0 if common >= 0.0 else -1.0
     deficit = (common - load) * direction / spread - threshold

@@ -10,11 +10,11 @@ Moments are taken about the prior mean, d = x - m, which turns (39)-(44) into
     beta+ = beta + S0,   m+ = m + S1 / beta+,   W_inv+ = W_inv + S2 - S1 S1' / beta+
 
 with S0, S1, S2 = sums of r, r d, r d d'. Nothing is divided by N_k, so an empty component
-(N_k -> 0) stays at its prior without a guard, and the sums are all that drives would have to
-tell one another (`distributed`).
+(N_k -> 0) stays at its prior without a guard. In a distributed version the drives would have to
+exchange nothing but these sums.
 
-This is the reference the product's `variational` is better than: with W = 100 the paper's
-E[I] does not see a partial loss (docs/papers.md).
+This is the reference for the product's `variational`, which is better: with W = 100 the paper's
+E[I] does not detect a partial loss (docs/papers.md).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from estimators.detect.protocol import Evidence, Opinion, nobody
 
 
 class Params(NamedTuple):
-    """A factor q(mu, Lambda) q(pi), or the prior of the same form, for T ticks.
+    """Parameters of q(mu, Lambda) q(pi), or the prior of the same form, for T ticks.
 
     m (T, 2, D), beta (T, 2), W_inv (T, 2, D, D) the inverse of the paper's W, nu (T, 2),
     alpha (T, 2). Component 0 adheres.
@@ -86,7 +86,7 @@ def paper_prior(m: Array, W: float = 100.0, nu: float = 3.0, beta: float = 1.0) 
 def invert(A: Array) -> tuple[Array, Array]:
     """Inverse and log determinant of positive definite (.., D, D), D = 1 or 2.
 
-    In closed form, so numbers never raise. Raises ValueError for other D.
+    The closed form never raises on numbers. Raises ValueError for other D.
     """
     if A.shape[-1] == 1:
         return 1.0 / A, np.log(A[..., 0, 0])
@@ -162,16 +162,16 @@ def update(prior: Params, s: Moments) -> Params:
 
 
 def drives_part(r: Array, rho: Array) -> Array:
-    """What the drives add to the bound (T,): sum of r (log rho - log r)."""
+    """Contribution of the drives to the bound (T,): sum of r (log rho - log r)."""
     from scipy.special import entr
 
     return np.asarray(np.sum(r * rho + entr(r), axis=(1, 2)))
 
 
 def divergence(q: Params, prior: Params) -> Array:
-    """What the factors cost the bound (T,): KL of q(pi) q(mu, Lambda) from the prior.
+    """KL divergence (T,) of q(pi) q(mu, Lambda) from the prior, which reduces the bound.
 
-    A mean known exactly (beta infinite) costs infinitely much.
+    It is infinite for a mean that is known exactly (beta infinite).
     """
     from scipy.special import betaln, digamma, gammaln
 
@@ -199,7 +199,7 @@ def divergence(q: Params, prior: Params) -> Array:
 
 
 def _sweep(fixed: Arrays, state: Arrays) -> tuple[Arrays, Array]:
-    """q(I), then q(pi, mu, Lambda); the bound after each. See `paper.iterate`."""
+    """Update q(I), then q(pi, mu, Lambda); the bound after each. See `paper.iterate`."""
     x, weight, *prior_ = fixed
     rho, _, *q_ = state
     prior, q = Params(*prior_), Params(*q_)
@@ -220,12 +220,12 @@ def infer(
     usable: Mask | None = None,
     start: Params | None = None,
 ) -> Posterior:
-    """Variational Bayes at T ticks at once: x (T, N, D), usable (T, N), all where None.
+    """Variational Bayes at T ticks at once: x (T, N, D), usable (T, N) or None: all are.
 
     Each sweep is (32)-(35), then (37)-(47). The factors start as the prior (the paper's preset
-    means), or as `start`. `tolerance` makes the bound the stopping rule (`paper.iterate`), with
-    `sweeps` as its limit. Drives that are not usable get r1 = 0. Raises ValueError for other D
-    than 1 and 2 and for fewer than one sweep.
+    means), or as `start`. With a `tolerance` the bound ends the sweeps (`paper.iterate`), after at
+    most `sweeps` of them. Drives that are not usable get r1 = 0. Raises ValueError if D is neither
+    1 nor 2, and for fewer than one sweep.
     """
     weight = np.ones(x.shape[:2]) if usable is None else usable.astype(np.float64)
     x = np.where(weight[..., None] > 0.0, x, 0.0)
@@ -244,7 +244,7 @@ def infer_tick(
     sweeps: int = paper.SWEEPS,
     tolerance: float | None = None,
 ) -> Posterior:
-    """`infer` for a single tick, x (1, N, D): `paper_vb.c` where D = 1."""
+    """`infer` for a single tick, x (1, N, D); with D = 1 it runs in `paper_vb.c`."""
     if x.shape[-1] != 1:
         return infer(x, prior, sweeps=sweeps, tolerance=tolerance)
     if sweeps < 1:
@@ -267,9 +267,9 @@ def infer_tick(
 def flatten(q: Params, preset: Params, phi: float) -> Params:
     """Prior of the next tick from this tick's posterior: q^phi preset^(1 - phi), normalised.
 
-    The paper's conclusion of section 5 ("flattened posterior") without a formula; this is
-    exponential forgetting towards the preset, linear in the natural parameters. phi = 0 is the
-    preset itself, phi = 1 no forgetting.
+    Section 5 of the paper concludes with a "flattened posterior" but gives no formula. Ours is
+    exponential forgetting towards the preset, linear in the natural parameters: phi = 0 gives the
+    preset itself, phi = 1 forgets nothing.
     """
     beta = phi * q.beta + (1.0 - phi) * preset.beta
     share = phi * q.beta / beta
@@ -337,7 +337,7 @@ class PaperVariationalDetector:
     code: ClassVar[int] = 1
 
     def __call__(self, evidence: Evidence) -> Opinion:
-        """See Detector. Observing speed without `Evidence.speed`: unknown."""
+        """See Detector. Without a speed that it has to observe, all drives are unknown."""
         part = paper.taking_part(evidence, self.observe)
         if np.count_nonzero(part) < 2:
             return nobody(len(part))
@@ -358,16 +358,16 @@ class PaperVariationalDetector:
         return preset
 
     def _remember(self, q: Params) -> None:
-        """Nothing: a detector of one instant."""
+        """Do nothing: this detector has no memory."""
 
 
 @dataclass(frozen=True)
 class ReusingVariationalDetector(PaperVariationalDetector):
     """The paper's VB with the flattened posterior of the last call as the next prior.
 
-    The one detector with a memory, because the memory is the variant: one object serves one
-    sequence of ticks. phi: see `flatten`; the paper gives none, ours is a half. A posterior
-    that is not finite is not kept.
+    Unlike the paper's other detectors it has a memory, so one object serves one sequence of
+    ticks. phi: see `flatten`; the paper gives no value, ours is 0.5. A posterior that is not
+    finite is not kept.
     """
 
     phi: float = 0.5

@@ -1,7 +1,7 @@
-"""What every adhesion detector takes and gives.
+"""Input and output of every adhesion detector.
 
-Detectors are functions of one instant: memory (smoothing, debounce, latch) belongs to the
-caller, so that all detectors are judged by the same rules.
+Detectors are functions of one instant, apart from those in `WITH_MEMORY`. Smoothing, debounce
+and latch belong to the caller, so that the same rules apply to all detectors.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 class Evidence(NamedTuple):
     """The loads of N drives at one instant.
 
-    load: (N,) Nm, each referred to full command (a drive cut to 30 % is divided by 0.3).
-    spread: (N,) Nm, standard deviation a healthy drive's load shows around the common one.
+    load: (N,) torque, each referred to full command (the load of a drive cut to 30 % is divided by
+    0.3); the gateway gives it per unit of rated torque.
+    spread: (N,) in the unit of `load`, standard deviation of a healthy drive's load around the
+    common one.
     usable: (N,) bool, false where the load is not known (the entry is then ignored, not NaN).
     speed: (N,) rad/s at the wheel, forward positive, or None; for detectors that observe it.
     """
@@ -28,11 +30,12 @@ class Evidence(NamedTuple):
 
 
 class Opinion(NamedTuple):
-    """What a detector thinks of the N drives.
+    """Result of a detector for the N drives.
 
     lost: (N,) probability of lost adhesion, 0..1; meaningless where not `known`.
     known: (N,) bool. False for unusable drives and where too few drives are left to compare.
-    common: the load that adhering drives share, Nm (the paper's global estimate M_z^(G)).
+    common: the load that adhering drives share, in the unit of the evidence (the paper's global
+    estimate M_z^(G)).
     """
 
     lost: NDArray[np.float64]
@@ -41,16 +44,19 @@ class Opinion(NamedTuple):
 
 
 class Detector(Protocol):
-    """One way to tell which drives have lost adhesion."""
+    """A method to detect which drives have lost adhesion."""
 
     code: ClassVar[int]
     """Value of `Gateway_Adhesion.Detector`."""
 
     def __call__(self, evidence: Evidence) -> Opinion:
-        """Judge one instant. Never raises on numbers; fewer than two usable drives: unknown."""
+        """Evaluate one instant. Never raises on numbers.
+
+        With fewer than two usable drives none is known.
+        """
         ...
 
 
 def nobody(n: int) -> Opinion:
-    """Too few drives to compare: nothing is known."""
+    """Opinion on n drives of which none is known, as when too few drives can be compared."""
     return Opinion(np.zeros(n), np.zeros(n, dtype=np.bool_), 0.0)

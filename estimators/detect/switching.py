@@ -1,9 +1,8 @@
-"""Losses of adhesion by a model with a memory: the records of `switching.c`, and the detector.
+"""Detection of lost adhesion by a switching model: the records of `switching.c`, the detector.
 
-Each drive adheres, is lost, or its load means nothing; all share the demand of the train. The
-equations are in `switching.c`, `switching_drive.c` and `switching_mixture.c`, their derivation in
-`docs/switching.md`.
-Not in paper `adhesion`.
+In the model each drive adheres, has lost adhesion, or has a load that carries no information; all
+drives share the demand of the train. The equations are in `switching.c`, `switching_drive.c` and
+`switching_mixture.c`, their derivation in `docs/switching.md`. Not in paper `adhesion`.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from dbc.records import (
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
 STEP_NS: Final = 10_000_000
-"""The model moves in steps of this length, whatever the ticks."""
+"""Time step of the model, whatever the period of a tick."""
 
 
 class Switching(Addressed):
@@ -33,7 +32,7 @@ class Switching(Addressed):
     pointer: Any
 
     def __init__(self, n: int, tick_ns: int = STEP_NS) -> None:
-        """Nothing known yet; a step is made in every so many ticks."""
+        """Start without knowledge; the model makes a step every `STEP_NS`, in whole ticks."""
         kept, tried = lib.SWITCHING_KEPT, lib.SWITCHING_TRIED
         self.loads, self.noises = np.zeros(n, SWITCHING_LOAD), np.zeros(n, SWITCHING_NOISE)
         self.hypotheses = np.zeros(kept, SWITCHING_HYPOTHESIS)
@@ -59,17 +58,17 @@ class SwitchingDetector:
     """The model as a detector: one object serves one sequence of steps of 10 ms.
 
     Loads are per unit of rated torque; the spread is learnt, not taken from the evidence. In the
-    gateway the core runs the model, with what else it knows of the drives.
+    gateway the core runs the model, with further inputs from the drives.
     """
 
     code: ClassVar[int] = 5
 
     def __init__(self) -> None:
-        """Nothing known yet."""
+        """Start without knowledge; the first call makes the model."""
         self.model: Switching | None = None
 
     def __call__(self, evidence: Evidence) -> Opinion:
-        """See Detector. The number of drives is that of the first call."""
+        """See Detector. The first call fixes the number of drives."""
         n = len(evidence.load)
         if self.model is None:
             self.model = Switching(n)

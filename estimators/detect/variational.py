@@ -1,11 +1,11 @@
 """Variational Bayes over the drives' loads: paper `adhesion`, section 4.2, eq. (21)-(47).
 
-The equations are in `variational.c`. The priors are ours, because the paper's never see a partial
-loss. They state what the problem knows: adhering drives agree to within their spread; a lost drive
-carries anything between nothing and everything; losses are rare. The mean of component 0 is
-started at every drive's load in turn and the start with the highest lower bound wins: a majority
-of slipping drives does not decide what is normal. The price: one drive that reads far too much
-(twice the others) explains them as slipping, because that is what a slipping majority looks like.
+The equations are in `variational.c`. The priors are ours, because the paper's detect no partial
+loss. They state prior knowledge: adhering drives agree to within their spread; a lost drive
+carries anything between no load and the full load; losses are rare. The mean of component 0 starts
+at every drive's load in turn, and the start with the highest lower bound wins, so that a majority
+of slipping drives does not decide what is normal. The price: if one drive's load is far too high
+(twice the others'), the others are taken as slipping, as a slipping majority looks the same.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 
 
 class Priors(NamedTuple):
-    """Strength of what is known before looking.
+    """Strength of the prior knowledge.
 
-    nu: degrees of freedom of both precisions (how firmly the spreads are believed).
+    nu: degrees of freedom of both precisions (how strongly the given spreads weigh).
     beta_adhering, beta_lost: weight of the component means' priors, in drives.
     alpha_adhering, alpha_lost: the beta prior of the share of lost drives.
     """
@@ -42,7 +42,7 @@ DEFAULT_PRIORS = Priors()
 
 @dataclass(frozen=True)
 class VariationalDetector:
-    """Variational Bayes with priors that state the problem."""
+    """Variational Bayes with priors that detect a partial loss."""
 
     priors: Priors = DEFAULT_PRIORS
     sweeps: int = 5
@@ -56,7 +56,7 @@ class VariationalDetector:
         object.__setattr__(self, "table", np.array(self.priors))
 
     def __call__(self, evidence: Evidence) -> Opinion:
-        """See Detector. Two to N usable drives; each of up to 16 is tried as the adhering one."""
+        """See Detector. The loads of up to 16 usable drives are tried as the adhering one."""
         n = len(evidence.load)
         if np.count_nonzero(evidence.usable) < 2:
             return nobody(n)

@@ -1,1 +1,1 @@
-"""See the module list in README.md."""
+"""Models of the motors."""

@@ -29,12 +29,12 @@ RATED_BENCH_T = 30.0
 THETA_VAR = 1e-6
 """Process variance of the angle per 125 us, rad^2.
 
-It decides what wrong motor constants cost: where the angle may move a little, a wrong
-back-EMF does not have to become speed and load. Load error at 200 rad/s with psi_f 20 % low:
-43 Nm with 1e-8, 6 with 1e-6; R_s 20 %: 3.6 and 0.9; with right constants the same. The price:
-with 1e-8 the filter finds the rotor from every start angle, from 3e-7 on half of all starts
-end 2.5 to 3 rad off for good. `acquisition.c` gives the start and watches it;
-where neither is used, 1e-8 is the choice.
+It sets the effect of wrong motor constants: if the angle may move a little, the filter need not
+turn a wrong back-EMF into speed and load. Load error at 200 rad/s with psi_f 20 % low: 43 Nm
+with 1e-8, 6 Nm with 1e-6; with R_s off by 20 %: 3.6 and 0.9 Nm; with the right constants both give
+the same. The price: with 1e-8 the filter finds the rotor from every start angle; from 3e-7 on,
+half of all starts end 2.5 to 3 rad off for good. `acquisition.c` gives the start angle and
+checks it later; without it, use 1e-8.
 """
 
 
@@ -62,7 +62,7 @@ class Rated(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What the filters believe about disturbance and sensors.
+    """Disturbance and sensor noise that the filters assume.
 
     Q: (N, 5) variance added per sub-step; R: (N, 2) variance of y, A^2; coast: (N,) variance of
     the phase currents in and after a stretch without samples, A^2.
@@ -74,7 +74,7 @@ class Noise(NamedTuple):
 
 
 def motors(*constants: tuple[float, float, float, float, float, float, float]) -> Pmsm:
-    """One row (R_s, L_s, psi_f, p, J, B, k_p) per drive. Raises ValueError unless physical."""
+    """One row (R_s, L_s, psi_f, p, J, B, k_p) per drive. ValueError if they are not physical."""
     rows = np.asarray(constants, dtype=np.float64).reshape(-1, 7)
     if not np.isfinite(rows).all() or (rows[:, [0, 5]] < 0.0).any():
         raise ValueError("motor constants must be finite, R_s and B not negative")

@@ -1,4 +1,4 @@
-"""How far the monitor's own prediction holds on fault-free blocks that calibration held back.
+"""Coverage of the monitor's own prediction, on fault-free blocks that calibration held back.
 
 The healthy filter of `monitor` predicts every block from those before it. Its normalised
 innovations have unit variance and no correlation where the model explains the motor (Bar-Shalom,
@@ -19,19 +19,19 @@ from estimators.thermal.monitor import Coverage, ThermalMonitor
 Array = NDArray[np.float64]
 
 START: Final = 5
-"""Blocks in which the filter finds where the motor is."""
+"""First blocks, which are left out: the filter still finds the state of the motor."""
 FEWEST: Final = 20
-"""Blocks below which nothing is measured."""
+"""Fewest blocks that a motor is measured on."""
 MOST_INFLATION: Final = 1.5
-"""A model that is wrong by more is not trusted, however wide its band."""
+"""Largest inflation: a model that is wrong by more is not trusted, however wide its band."""
 BAND: Final = 1.96
-"""Standard deviations: 95 % of normal numbers."""
+"""Standard deviations that hold 95 % of a normal distribution."""
 
 
 def innovations(monitor: ThermalMonitor, off: Array, inputs: Records) -> Array:
-    """(B, M, 3) of unit variance where the filter is right; NaN without a reading.
+    """Normalised innovations (B, M, 3), unit variance if the filter is right; NaN: no reading.
 
-    off (B, M, 3) K from the other motors, inputs (B, M) of `struct thermal_sums`.
+    off (B, M, 3): deviation from the other motors, K; inputs (B, M) of `struct thermal_sums`.
     """
     out = np.empty(off.shape)
     noise_k = monitor.known_motors["block_noise_k"]
@@ -48,7 +48,7 @@ def innovations(monitor: ThermalMonitor, off: Array, inputs: Records) -> Array:
 
 
 def measure(monitor: ThermalMonitor, off: Array, inputs: Records) -> Coverage:
-    """Of fault-free blocks: see `innovations`."""
+    """Measure the coverage of fault-free blocks; arguments as in `innovations`."""
     z = innovations(monitor, off, inputs)[START:]
     loss = inputs["copper"][START:] / np.maximum(inputs["count"][START:], 1.0)
     motors = off.shape[1]

@@ -3,14 +3,14 @@
     X(t) = X(0) + mu t + sigma B(t) + Z(t),   y = X + reading noise r
 
 Z is compound Poisson. Jumps are found first, by the undecimated Haar transform (a decimated one
-sees only every other difference), or causally from differences. Drift, diffusion and r follow by
+has only every other difference), or causally from differences. Drift, diffusion and r follow by
 maximum likelihood from the increments dy without the jumps,
 
     dy ~ N(mu tau, C),   C = sigma^2 diag(tau) + r^2 tridiag(-1, 2, -1),
     mu = m'C^-1 dy / m'C^-1 m,   m = tau;
 
-(27) as printed is no estimate, and without r the diffusion is that of the readings' noise. Sigma
-and r are found by Nelder-Mead.
+(27) as printed is no estimator, and without r the diffusion would be that of the readings' noise.
+Sigma and r are found by Nelder-Mead.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 GAUSS: Final = 1.4826
-"""Standard deviation over median absolute deviation."""
+"""Standard deviation over median absolute deviation, of a normal distribution."""
 JUMP: Final = 5.0
-"""A difference of more standard deviations is a jump."""
+"""A difference of more than so many standard deviations is a jump."""
 
 
 class Degradation(NamedTuple):
-    """What was found.
+    """Result of `fit`.
 
-    drift per s, and its standard error; diffusion per sqrt(s); noise of a reading; jumps (k,):
-    their sizes.
+    drift, per s, and drift_sigma, its standard error; diffusion, per sqrt(s); noise of a reading;
+    jumps (k,): their sizes.
     """
 
     drift: float
@@ -44,9 +44,10 @@ class Degradation(NamedTuple):
 
 
 def jump_points(y: Array, threshold: float = JUMP) -> Flags:
-    """(K - 1,) differences of y (K,) that are jumps, by the undecimated Haar transform's details.
+    """Mask (K - 1,) of the differences of y (K,) that are jumps, by the undecimated Haar transform.
 
-    The first level of it is every difference over sqrt(2), circularly; looks ahead by one sample.
+    The details of its first level are all differences over sqrt(2), circularly. The transform looks
+    ahead by one sample.
     """
     import pywt
 
@@ -62,15 +63,15 @@ def outliers(differences: Array, threshold: float = JUMP) -> Flags:
     off = np.abs(differences - np.median(differences))
     sigma = GAUSS * float(np.median(off))
     if sigma <= 0.0:
-        # More than half of the readings are the same: the resolution, not the spread.
+        # More than half of the differences are equal: it shows their resolution, not their spread.
         sigma = float(np.sqrt(np.mean(off**2)))
     return off > threshold * max(sigma, 1e-12)
 
 
 def fit(y: Array, t: Array, jumps: Flags | None = None) -> Degradation:
-    """Maximum likelihood from readings y (K,) at times t (K,) s, ascending, from 0 on.
+    """Maximum-likelihood estimate from readings y (K,) at times t (K,) s, ascending, from 0 on.
 
-    jumps (K - 1,): increments to leave out, default `jump_points`. Raises ValueError with fewer
+    jumps (K - 1,): increments to leave out, default `jump_points`. Raises ValueError for fewer
     than 5 increments.
     """
     from scipy.optimize import minimize
@@ -99,7 +100,7 @@ def _likelihood(
     from scipy.linalg import cholesky_banded, solve_banded
 
     sigma, r = float(spread[0]), float(spread[1])
-    # A jump's increment is known to nobody: as good as infinite variance.
+    # The increment of a jump without the jump is unknown: practically infinite variance.
     big = 1e8 * float(np.max(dy * dy) + sigma**2 * tau.max() + r**2)
     diagonal = sigma**2 * tau + 2.0 * r**2 + np.where(cut, big, 0.0) + 1e-12
     off = np.full(len(dy), -(r**2))

@@ -1,20 +1,20 @@
-"""Which fault explains what the thermal model does not: a discrete Bayes filter per motor.
+"""Which fault explains the residual of the thermal model: a discrete Bayes filter per motor.
 
-For samples hours apart, each of a motor that has settled anew; `monitor` is for every second.
+For samples hours apart, between which a motor settles anew; `monitor` is for every second.
 
-States: nothing; a kind of heat times its size; a sensor off by a size, up or down; a loose
+States: no fault; a kind of heat times its size; a sensor off by a size, up or down; a loose
 connector. Every kind of heat has its own signature over the three points and over time, from the
-sensitivities of the calibrated model: more heat in the winding shows there and, less, elsewhere; a
-resistance goes with the current squared; less air lifts all three; a bearing one end; a sensor
-exactly one point. What is looked at is each motor's residual less the median of the other motors'
-(a mean is pulled by the fault itself; weather and duty that the model does not know are the same
-for all), of those that are not suspected themselves, all of them less what has been learnt of each:
-or a median over motors that have aged would step when one of them falls ill. Readings have heavy
-tails (Student t). Residuals are alike from sample to sample, so each one counts as the share of an
-independent one that its correlation leaves.
+sensitivities of the calibrated model: more heat in the winding shows there and, less, elsewhere;
+heat of a resistance grows with the squared current; less air lifts all three points, a bearing
+fault one end. A sensor fault changes exactly one point. The filter reads each motor's residual less
+the median of the other motors' residuals (the fault itself would pull a mean; weather and duty that
+the model does not know are the same for all). Suspected motors are left out of the median, and each
+residual is taken less its learnt baseline: otherwise a median over aged motors would step when one
+of them develops a fault. Readings have heavy tails (Student t). Residuals are correlated from
+sample to sample, so each counts as the share of an independent one that its correlation leaves.
 
-In place of paper `thermal`, eq. (28)-(31): a filter follows a fault, and the spread between motors
-does not tell which motor or what. The rules are in `hypotheses.c` and `peers.c`.
+It replaces paper `thermal`, eq. (28)-(31): a filter follows a fault, and the spread between motors
+shows neither which motor has a fault nor which fault. The rules are in `hypotheses.c`, `peers.c`.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ LOOSE: Final = ("loose_stator", "loose_de", "loose_nde")
 KINDS: Final = (*HEAT, *SENSORS, *LOOSE)
 SIZES_K: Final = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.2, 6.0, 8.5, 12.0, 17.0])
 BENIGN_K: Final = np.array([1.5, 3.6, 2.5, 2.5, 1.5, 1.5, 1.5, 1.5])
-"""Of `HEAT` and `SENSORS`: smaller ones are no faults but dirt, draught, weather and wear, which
-air and bearings have more of. States of their own, so that they are taken neither for nothing nor
-for a fault."""
+"""Least sizes that are faults, of `HEAT` and `SENSORS`. Smaller ones are dirt, draught, weather and
+wear, of which air and bearings have more. They are states of their own, so that the filter takes
+them neither for a healthy motor nor for a fault."""
 TAIL: Final = 5.0
 """Degrees of freedom of the readings' Student t."""
 NAMED: Final = 0.99
-"""Of what is wrong: so sure has one to be that it is heat, or a sensor, before either is named."""
+"""Share of the probability of heat and sensors together that one must have to be named."""
 APART_NAMED, APART_LASTS, APART_HIDDEN_K = 0.999, 3, 3.0
-"""The same for samples hours apart, where nobody sees a sensor step: how sure, for how many samples
-in a row (a burst of a loose connector is one), and what dirt or wear may hide at another point."""
+"""The same for samples hours apart, between which a sensor's step is not seen: the share, for how
+many samples in a row (a burst lasts one), and the K that dirt or wear may hide at another point."""
 LOOSE_SHARE, LOOSE_K = 0.1, 60.0
-"""Of the readings of a loose connector, and how far off they may be."""
+"""Share of a loose connector's readings that are off, and how far off they may be, K."""
 
 
 class Pace(NamedTuple):
-    """How fast things happen, in samples.
+    """Mean times of the Markov chain, in samples.
 
-    healthy: until a fault is expected; ill: that it lasts; often: until dirt, draught or weather
-    is; grows: until a size becomes the next larger, or smaller; learnt: time constant of a motor's
-    baseline, which is learnt while there is no fault; loose: that a loose connector is remembered.
+    healthy: until a fault begins; ill: until it ends; often: until dirt, draught or weather begins;
+    grows: until a size becomes the next larger or smaller one; learnt: time constant of a motor's
+    baseline, which is learnt while there is no fault; loose: until a loose connector is forgotten.
     """
 
     healthy: float = 5000.0
@@ -69,15 +69,15 @@ class Pace(NamedTuple):
 
 
 SNAPSHOTS: Final = Pace()
-"""For samples that are hours apart: every one is a motor that has settled anew."""
+"""For samples that are hours apart, between which a motor settles anew."""
 
 
 class Spread(NamedTuple):
-    """What a healthy motor's residual beside its peers' is like, from fault-free data.
+    """Statistics of a healthy motor's residual less its peers', from fault-free data.
 
     centre, sigma (M, 3) K; white (M, 3, 3) 1/K: rows turn the three points' residuals into
     independent ones of unit variance (what the points share, and what each has of its own); share
-    (M, 3): of an independent sample that one sample of each of these counts as.
+    (M, 3): fraction of an independent sample that one sample of each of these counts as.
     """
 
     centre: Array
@@ -89,7 +89,7 @@ class Spread(NamedTuple):
 class Belief(NamedTuple):
     """kind (K, M, len(KINDS)): probability of each; size_k (K, M): mean size if any.
 
-    side (K, M): heat 1, a sensor -1, not sure 0.
+    side (K, M): 1 heat, -1 a sensor, 0 undecided.
     """
 
     kind: Array
@@ -98,22 +98,22 @@ class Belief(NamedTuple):
 
     @property
     def fault(self) -> Array:
-        """(K, M) probability of any."""
+        """(K, M) probability of any fault."""
         out: Array = self.kind.sum(axis=2)
         return out
 
     @property
     def statistic(self) -> Array:
-        """(K, M) log odds of a fault, 0 where none is as probable."""
+        """(K, M) log odds of a fault, 0 where a fault is less probable than none."""
         p = np.clip(self.fault, 1e-300, 1.0 - 1e-15)
         out: Array = np.maximum(np.log(p) - np.log1p(-p), 0.0)
         return out
 
 
 def side(kind: Array, named: float = NAMED) -> NDArray[np.int64]:
-    """1 where it is heat, -1 where it is a sensor, 0 where neither is `named` sure.
+    """1 where the fault is heat, -1 where it is a sensor, 0 where neither has the share `named`.
 
-    See `thermal_sides` in `hypotheses.h`. kind (..., 11): probabilities; gives (...,).
+    See `thermal_sides` in `hypotheses.h`. kind (..., 11): probabilities; returns (...,).
     """
     given = np.ascontiguousarray(kind, dtype=np.float64)
     sides = np.empty(given.shape[:-1], dtype=np.int64)
@@ -122,9 +122,9 @@ def side(kind: Array, named: float = NAMED) -> NDArray[np.int64]:
 
 
 def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:
-    """`side` of samples hours apart, each of a motor that has settled anew; causal.
+    """`side` of samples hours apart, between which a motor settles anew; causal.
 
-    kind (K, M, 11), rise_k (K, M) of the sensors' errors, shapes (K, 5, 3): see `signatures`. A
+    kind (K, M, 11); rise_k (K, M): error of a sensor, K; shapes (K, 5, 3): see `signatures`. A
     sensor that reads high is named only where heat of that size would have shown at another point.
     """
     first, then = len(HEAT), len(HEAT) + len(SENSORS)
@@ -142,14 +142,14 @@ def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:
     lasts[APART_LASTS - 1 :] = True
     for back in range(1, APART_LASTS):
         lasts[back:] &= sides[back:] == sides[:-back]
-    # A burst in a motor that seems ill already is another kind of the same side, for one sample.
+    # In a motor with a fault, a burst looks like another kind of the same side for one sample.
     kinds = kind.argmax(axis=-1)
     lasts[1:] &= kinds[1:] == kinds[:-1]
     return np.where(lasts, sides, 0)
 
 
 def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
-    """From fault-free residuals (K, M, 3) that were not used for the model.
+    """`Spread` of fault-free residuals (K, M, 3) that were not used for the model.
 
     learnt: as in `Pace`.
     """
@@ -175,7 +175,7 @@ def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
 def peers_median(u: Array, trusted: NDArray[np.bool_]) -> Array:
     """(M, 3) K: per motor and point the median of u (M, 3) over the other motors; see `peers.h`.
 
-    trusted (M,): motors that are compared with, as far as they are enough.
+    trusted (M,): motors that others are compared with, if these are enough.
     """
     out, given = np.empty(u.shape), np.ascontiguousarray(u, dtype=np.float64)
     lib.peers_median(
@@ -186,7 +186,7 @@ def peers_median(u: Array, trusted: NDArray[np.bool_]) -> Array:
 
 
 def beside_peers(residual: Array, learnt: float) -> Array:
-    """(K, M, 3): fault-free residuals as the filter would look at them, baselines learnt."""
+    """Fault-free residuals (K, M, 3) less baseline and peers' median, as the filter reads them."""
     out, baseline = np.empty(residual.shape), np.zeros(residual.shape[1:])
     everybody = np.ones(residual.shape[1], dtype=np.bool_)
     for k, sample in enumerate(residual):
@@ -197,9 +197,9 @@ def beside_peers(residual: Array, learnt: float) -> Array:
 
 
 def signatures(parameters: Array, inputs: Inputs, start: Array | None) -> Array:
-    """(K, 5, 3) K that faults of `HEAT` add to the readings, the largest point's mean being 1.
+    """(K, 5, 3) K that faults of `HEAT` add to the readings; the mean of the largest point is 1.
 
-    Of the mean motor, for faults that have been there long enough.
+    For the mean motor and faults that are present from the beginning.
     """
     mean = parameters.mean(axis=0)
     tried = np.tile(mean, (1 + len(HEAT), 1))

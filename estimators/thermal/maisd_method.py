@@ -1,10 +1,10 @@
 """The paper's fault detection: paper `thermal`, eq. (22)-(31), Algorithms 1 and 2.
 
-States of all motors by the sigma-mixed filter, with the degradation's drift in its prediction; a
-moving average; the spread between the motors, for each of the three points; a limit from fault-free
-data. As printed the average (29) looks ahead; `causal` ends its window at the sample, as on a bus.
-`centred` takes off each motor's own mean in health first, which (31) lacks: without it a constant
-difference between healthy motors is part of the statistic.
+The sigma-mixed filter estimates the states of all motors, with the degradation's drift in its
+prediction. The spread between the motors' moving averages, at each of the three points, has a limit
+from fault-free data. As printed, the average (29) looks ahead; `causal` ends its window at the
+sample, as on a bus. `centred` first subtracts each motor's own mean in health, which (31) lacks:
+without it a constant difference between healthy motors is part of the statistic.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def maisd(average: Array) -> Array:
 
 
 Filtering = Callable[[Record, Lumps, Array | None], Estimates]
-"""States of a record by a thermal model and a drift (M, 3) K/s; None: no drift."""
+"""Estimates the states of a record with a thermal model and a drift (M, 3) K/s or None."""
 
 
 class Learnt(NamedTuple):
@@ -54,10 +54,10 @@ class Learnt(NamedTuple):
 
 @dataclass(frozen=True)
 class PaperMethod:
-    """window: samples of the moving average.
+    """The paper's method; window: samples of the moving average.
 
     For an ablation: filtered: False takes the readings themselves; mixing: see `SigmaMixedFilter`;
-    noise: times the variance of a reading, with which the filter follows it the less.
+    noise: factor on the variance of a reading; the larger, the less the filter follows readings.
     """
 
     window: int = 7
@@ -73,18 +73,18 @@ class PaperMethod:
 
     @property
     def filtering(self) -> tuple[float, ...]:
-        """Methods that are alike in this have the same states for a record, model and drift."""
+        """Settings that determine the states for a given record, model and drift."""
         return self.weighted, self.filtered, self.mixing
 
     @property
     def learning(self) -> tuple[float, ...]:
-        """Methods that are alike in this learn the same."""
+        """Settings that determine what is learnt."""
         return *self.filtering, self.noise, self.degrades
 
     def learn(
         self, healthy: Record, model: Lumps | None = None, states: Filtering | None = None
     ) -> Learnt:
-        """What is the same for every window and limit, and takes the time.
+        """Learn what is the same for every window and limit; this is the slow part.
 
         model: `lumps(healthy)`, where it is known; states: in place of `self.states`.
         """
@@ -96,7 +96,7 @@ class PaperMethod:
         return Learnt(known, drift, first if drift is None else states(healthy, known, drift))
 
     def states(self, record: Record, known: Lumps, drift: Array | None) -> Estimates:
-        """`Filtering`."""
+        """See `Filtering`."""
         if self.filtered:
             return SigmaMixedFilter(self.weighted, self.mixing).run(record, known, drift)
         readings = filled(record.temperature, usual(record.temperature))
@@ -105,10 +105,10 @@ class PaperMethod:
     def fit(
         self, healthy: Record, learnt: Learnt | None = None, states: Filtering | None = None
     ) -> Callable[[Record], Array]:
-        """Learn from one fault-free run; what comes back gives (K,) statistics of a record.
+        """Learn from one fault-free run; returns a function from a record to (K,) statistics.
 
-        1 is the limit of the point that is nearest to its own. learnt: what a method of the same
-        `learning` has learnt of this run before; states: in place of `self.states`.
+        A statistic is the largest share of its limit that any point has reached. learnt: result of
+        `learn` by a method of the same `learning` on this run; states: in place of `self.states`.
         """
         filtered = states or self.states
         known, drift, first = learnt or self.learn(healthy, states=states)
@@ -127,9 +127,9 @@ class PaperMethod:
         return maisd(average)
 
     def _drift(self, record: Record, estimates: Estimates) -> Array | None:
-        """(M, 3) K/s: Algorithm 2, steps 2 and 3, of what states have beyond the motors' mean.
+        """Drift (M, 3) K/s of the states less the motors' mean: Algorithm 2, steps 2 and 3.
 
-        None where no state drifts.
+        None if no state drifts.
         """
         t = (record.at - record.at[0]) * record.step_s
         beyond = estimates.state - estimates.state.mean(axis=1, keepdims=True)
@@ -138,7 +138,7 @@ class PaperMethod:
         for m, p in np.ndindex(*out.shape):
             y = beyond[::every, m, p]
             found = degradation.fit(y, t[::every])
-            # A drift within two of its own standard errors is none.
+            # A drift within two of its own standard errors counts as none.
             sure = abs(found.drift) > 2.0 * found.drift_sigma
             out[m, p] = found.drift if sure else 0.0
         return out if out.any() else None

@@ -1,11 +1,12 @@
-"""A motor as five lumps of heat, driven by what is on the bus: currents, speed, ambient.
+"""Thermal model of a motor: five lumps, driven by the bus signals current, speed and ambient.
 
-The equations stand in `model.c`. Readings are those of winding and ends, plus an offset each. Core
-and frame are two: air cools the frame, the ends hang on it, the winding on the core, and that is
-what is seen when cooling fails. Rates, not heat capacities: temperatures alone cannot tell more. It
-is run open loop: a filter would follow the fault, and after a few steps its residual is white
-again. In place of paper `thermal`, eq. (1), whose one lump of 850 kg has one time constant, whose
-Joule heat is of the current's change, and which lacks the time step.
+The equations are in `model.c`. Readings are those of winding and ends, plus an offset each. Core
+and frame are two lumps: air cools the frame, the ends hang on it, the winding on the core, and this
+shows when cooling fails. The parameters are rates, not heat capacities, because temperatures alone
+do not determine more. The model runs open loop: a filter would follow the fault, and after a few
+steps its residual would be white again. It replaces paper `thermal`, eq. (1), whose one lump of
+850 kg has one time constant, whose Joule heat is that of the current's change, and which lacks the
+time step.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ LUMPS: Final = 5
 WINDING, CORE, FRAME, DRIVE_END, OTHER_END = range(LUMPS)
 MEASURED: Final = (WINDING, DRIVE_END, OTHER_END)
 EXTRA: Final = LUMPS
-"""Columns of heat that no healthy motor has, K/s of each lump: for signatures of faults."""
+"""Columns of extra heat that no healthy motor has, K/s of each lump: for signatures of faults."""
 TYPICAL: Final = np.array(
     [
         4e-6, 5e-3, 1e-3, 1e-5, 1.4e-7, 3e-3, 4e-3, 4e-4, 3e-6,
         1.6e-3, 3e-5, 6e-4, 1.6e-3, 3e-5, 6e-4, 0.0, 0.0, 0.0,
     ]
 )  # fmt: skip
-"""Where the search begins: a motor of some hundred kilograms and kilowatts."""
+"""Start of the search: a motor of some hundred kilograms and kilowatts."""
 LEAST_RISE_K: Final[float] = lib.THERMAL_LEAST_RISE_K
-"""Of a frame over the air, that cooling is reckoned with."""
+"""Least rise of the frame over the air that cooling is calculated with."""
 STEP_S: Final = 60.0
-"""Inputs are averaged over this much if they come faster and samples are further apart."""
+"""Inputs are averaged over this time if they come faster and samples are further apart."""
 
 
 class Inputs(NamedTuple):
@@ -84,8 +85,8 @@ def predict(
     """(K, M, 3) degC at stator, drive end, non-drive end, by the model alone.
 
     parameters (M, 18): rates of `NAMES` and three offsets; start (M, 3): readings at the beginning,
-    without them the steady state of the first hour's mean inputs; extra (M, 5): constant heat in
-    the lumps, K/s; core (M,): K that the core is warmer at the beginning than its ends say.
+    None: the steady state of the first hour's mean inputs; extra (M, 5): constant heat in the
+    lumps, K/s; core (M,): K that the core is warmer at the beginning than `initial_state` assumes.
     """
     lumps = simulate(parameters, inputs, start, extra, core)
     return np.asarray(lumps[:, :, list(MEASURED)] + parameters[:, OFFSETS])
@@ -116,9 +117,9 @@ def simulate(
 
 
 def run(parameters: Array, inputs: Inputs, extra: Array, state: Array) -> Array:
-    """(K, M, 5) degC of all lumps from `state` (M, 5) on, which is that of the last of `at` then.
+    """(K, M, 5) degC of all lumps from `state` (M, 5) on; `state` becomes that at the last of `at`.
 
-    extra (M, 5): as `predict`; current_square is of M motors.
+    extra (M, 5): as in `predict`; current_square must have M columns.
     """
     out = np.empty((len(state), len(inputs.at), LUMPS))
     motors, at = parameter_records(parameters), np.ascontiguousarray(inputs.at, dtype=np.int64)
@@ -143,10 +144,10 @@ def parameter_records(parameters: Array) -> Records:
 
 
 def initial_state(parameters: Array, readings: Array, ambient: float) -> Array:
-    """(M, 5) degC: lumps of motors with readings (M, 3); the frame as warm as its ends say.
+    """(M, 5) degC: lumps of motors with readings (M, 3); the frame follows from its ends.
 
-    An end that settles is k/(k + b) of the way from the air to the frame. The core is taken to be
-    half way from there to the winding.
+    An end that settles is k/(k + b) of the way from the air to the frame. The core is assumed
+    half way from the frame to the winding.
     """
     p, true = parameters, readings - parameters[:, OFFSETS]
     drive_end = ambient + (true[:, 1] - ambient) * (1.0 + p[:, B_D] / p[:, K_D])
@@ -157,7 +158,7 @@ def initial_state(parameters: Array, readings: Array, ambient: float) -> Array:
 
 def steady_state(p: Array, square: float, speed: float, ambient: float, extra: Array) -> Array:
     """(5,) degC: steady state of the lumps; finite for positive rates."""
-    # The winding's own slope is left out: a start, not a result.
+    # The winding's resistance is taken as constant: this is a start value, not a result.
     copper = p[A] * square + extra[WINDING]
     through = p[K_C] / p[K_W] * copper + p[E_1] * speed + p[E_2] * speed**2 + extra[CORE]
     air = p[H_0] + p[H_1] * speed
@@ -173,9 +174,9 @@ def steady_state(p: Array, square: float, speed: float, ambient: float, extra: A
 
 
 def system_matrix(p: Array, square: float, speed: float) -> Array:
-    """(5, 5) 1/s: how fast deviations of the lumps from `predict` change; heat in, per second.
+    """(5, 5) 1/s: system matrix of the lumps' deviations from `simulate` under extra heat, K/s.
 
-    p (18,): of one motor; square A^2 and speed rad/s of the moment.
+    p (18,): of one motor; square A^2 and speed rad/s at this instant.
     """
     a = np.empty((LUMPS, LUMPS))
     lib.thermal_model_system_matrix(
@@ -186,7 +187,7 @@ def system_matrix(p: Array, square: float, speed: float) -> Array:
 
 
 def resistance(winding: Array) -> Array:
-    """Resistance of the winding at these temperatures, degC, over that at 60 degC."""
+    """Resistance of the winding at these temperatures, degC, relative to that at 60 degC."""
     return np.array([lib.thermal_model_resistance(w) for w in winding.ravel()]).reshape(
         winding.shape
     )

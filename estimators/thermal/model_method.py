@@ -1,7 +1,7 @@
-"""The product's thermal method: a calibrated model for each motor, hypotheses on what is left.
+"""The product's thermal method: a calibrated model for each motor, hypotheses on its residual.
 
-`model` is identified on the first part of fault-free data, the residuals' spread on the rest:
-limits from data that the fit has seen are too tight.
+`model` is identified on the first part of the fault-free data, the residuals' spread on the rest:
+limits from data that the fit has used would be too tight.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from estimators.thermal.system_identification import first_readings, identify
 Array = NDArray[np.float64]
 
 SCALES = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
-"""Of the disturbances: the likeliest on fault-free data is taken."""
+"""Scales of the disturbances that are tried; the likeliest on fault-free data is taken."""
 OWN_K = (0.02, 0.04, 0.08, 0.16, 0.32)
-"""What lumps deviate by themselves, K per root of a minute: how wrong five lumps are. The
-likeliest, together with the scale."""
+"""Random deviations of a lump that are tried, K per root of a minute: the error of a model with
+five lumps. The likeliest, together with the scale, is taken."""
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A train's motors as fault-free data show them, for samples hours apart."""
+    """A train's motors, calibrated on fault-free data, for samples hours apart."""
 
     parameters: Array
     spread: Spread
 
     def believe(self, record: Record) -> Belief:
-        """Probabilities of every kind of fault; causal but for the record's mean signatures."""
+        """Probabilities of every kind of fault; causal apart from the record's mean signatures."""
         first = first_readings(record)
         residual = record.temperature - predict(self.parameters, inputs_of(record), first)
         shapes = hypotheses.signatures(self.parameters, inputs_of(record), first)
         return hypotheses.believe(residual, self.spread, shapes)
 
     def __call__(self, record: Record) -> Array:
-        """(K,) log odds of a fault, 0 where none is as probable; the train's largest."""
+        """(K,) largest log odds of a fault in the train, 0 where it is less probable than none."""
         out: Array = self.believe(record).statistic.max(axis=1)
         return out
 
 
 @dataclass(frozen=True)
 class Watching:
-    """The same for readings that come every few seconds: `monitor`, sample by sample."""
+    """Calibrated motors for readings every few seconds: `monitor`, sample by sample."""
 
     known: Known
 
@@ -63,7 +63,7 @@ class Watching:
         kind, size = np.zeros((samples, motors, len(KINDS))), np.zeros((samples, motors))
         stepped = b""
         for k, judged in enumerate(followed(monitor, record)):
-            # Between blocks only a step, or a motor that begins anew, changes what is told.
+            # Between blocks only a step, or a motor that starts anew, changes the result.
             steps = monitor.offsets.tobytes()
             if judged or k == 0 or steps != stepped or monitor.motors["lost"].any():
                 result, stepped = monitor.kinds(), steps
@@ -71,13 +71,13 @@ class Watching:
         return Belief(kind, size, hypotheses.side(kind))
 
     def __call__(self, record: Record) -> Array:
-        """(K,) log odds of a fault, 0 where none is as probable; the train's largest."""
+        """(K,) largest log odds of a fault in the train, 0 where it is less probable than none."""
         out: Array = self.believe(record).statistic.max(axis=1)
         return out
 
 
 def learn(parameters: Array, runs: Sequence[Record]) -> Known:
-    """What `monitor` has to know, from fault-free runs; the last was not used for parameters."""
+    """Calibration for `monitor` from fault-free runs; the last was not used for `parameters`."""
     rest = runs[-1]
     dt = spacing(rest)
     nothing = np.zeros((rest.motors, 3))
@@ -107,11 +107,11 @@ def learn(parameters: Array, runs: Sequence[Record]) -> Known:
 
 
 def _likeliest(known: Known, inputs: Records, off: Array, dt: float) -> Known:
-    """With the scale of the disturbances and the `own_k` that held-back blocks make likeliest.
+    """`known` with the scale of the disturbances and the `own_k` likeliest on held-back blocks.
 
-    inputs (B, M) of `struct thermal_sums`, off (B, M, 3), fault-free. One scale for all: told apart
-    by two hours of data, they take what the model gets wrong for draught, and then lost cooling for
-    it as well.
+    inputs (B, M) of `struct thermal_sums`, off (B, M, 3), fault-free. One scale serves all
+    disturbances: separate ones, from two hours of data, would take model error for draught, and
+    then lost cooling for draught as well.
     """
 
     def likely(tried: Known) -> float:
@@ -128,7 +128,7 @@ def _duty(parameters: Array, runs: Sequence[Record]) -> Array:
     for run in runs:
         inputs, square = inputs_of(run), run.current_square.mean(axis=1, keepdims=True)
         start = first_readings(run).mean(axis=0, keepdims=True)
-        # Where the frame and the winding are, the ends' readings and the model say.
+        # The ends' readings and the model give the temperatures of frame and winding.
         every = inputs._replace(
             current_square=square, speed=np.abs(run.speed), ambient=run.ambient,
             at=np.arange(len(run.speed)), step_s=run.step_s,
@@ -144,7 +144,7 @@ def _duty(parameters: Array, runs: Sequence[Record]) -> Array:
 
 @dataclass(frozen=True)
 class ModelMethod:
-    """fit_share: of the fault-free samples, for the model's parameters."""
+    """fit_share: share of the fault-free samples that the model's parameters are fitted to."""
 
     fit_share: float = 0.7
 

@@ -1,19 +1,19 @@
-"""Thermal faults while they happen: N motors, bounded memory, some microseconds a motor and second.
+"""Thermal faults while they happen: N motors, bounded memory, microseconds per motor and second.
 
-Every motor's heat (`model`) runs open loop beside it, from the currents, the speed and the ambient
-temperature on the bus. What its readings differ by is taken together in blocks of seconds (medians:
-noise and bursts do not count), less what the other motors differ by (weather and what the model
-does not know are the same for all), and goes to one Kalman filter for each explanation, of which
-one is true at a time (interacting multiple models, Blom and Bar-Shalom 1988): nothing but
-disturbances, which every motor has; a kind of heat, whose size is a state; a sensor that is off. A
-fault of heat shows itself by where it comes in and what it goes with: friction with speed, a
-winding's resistance with the current squared, lost cooling with the frame's own rise. Steps of
-sensors (`step_detector`) and bursts of loose connectors are told apart before.
+A thermal model (`model`) of each motor runs open loop, from the currents, the speed and the ambient
+temperature on the bus. The residuals of the readings are combined in blocks of seconds (by medians,
+which ignore noise and bursts), less the residuals of the other motors (weather and what the model
+does not know are the same for all). They go to one Kalman filter for each explanation, of which one
+is true at a time (interacting multiple models, Blom and Bar-Shalom 1988): disturbances alone, which
+every motor has; a kind of heat, whose size is a state; a sensor that is off. Kinds of heat differ
+in where the heat enters and in what it grows with: friction with speed, heat of a winding's
+resistance with the squared current, lost cooling with the frame's own rise. Steps of sensors
+(`step_detector`) and bursts of loose connectors are separated before.
 
-In place of paper `thermal`, eq. (28)-(31): a filter without the faults among its explanations
-follows a fault, and the spread between motors does not tell which motor or what.
+It replaces paper `thermal`, eq. (28)-(31): a filter without the faults among its explanations
+follows a fault, and the spread between motors shows neither the motor nor the fault.
 
-The rules are in `monitor.c`, `imm.c` and `peers.c`; here are their constants, and arrays.
+The rules are in `monitor.c`, `imm.c` and `peers.c`; this module has their constants and arrays.
 """
 
 from __future__ import annotations
@@ -33,35 +33,34 @@ from estimators.thermal.record import Record
 Array = NDArray[np.float64]
 
 BLOCK_SHARE: Final = 0.08
-"""Of the quickest lump's time constant, that readings are taken together."""
+"""Length of a block of readings, as a share of the quickest lump's time constant."""
 LONGEST_BLOCK_S: Final = 60.0
 DISTURBANCES: Final = np.array([0.01, 0.7, 0.02, 0.05, 0.05])
-"""Of a motor's own: share of its copper loss, K of its air, share of its cooling air, of the
-friction in its ends; standard deviations of what wanders. What is constant is in its parameters."""
+"""Standard deviations of each motor's slow disturbances: share of its copper loss, K of its air,
+shares of its cooling air and of the friction in each end. Constant parts are in its parameters."""
 MEMORY_S: Final = 900.0
-"""Of what wanders."""
+"""Time constant of the disturbances and of a sensor's creep."""
 BEGIN_S, END_S = 36_000.0, 3600.0
-"""A fault is expected once in so long, and to last so long."""
+"""Mean time until a fault begins, and until it ends."""
 UNSURE: Final = 0.6
-"""Share of a lump's own exchange of heat that the model may be wrong by: five lumps stand for what
-has no number."""
+"""Share of a lump's own exchange of heat that the model may be wrong by, because five lumps stand
+for a continuum."""
 WALK_K, WALK_SHARE = 0.2, 0.03
-"""A size changes by this from block to block."""
+"""Standard deviation of a fault size's change per block: of heat, K, and as a share of any size."""
 CREEP_K_PER_S: Final = 0.003
-"""A sensor may creep away by so much, for as long as `MEMORY_S`."""
+"""Rate at which a sensor may creep away, for about `MEMORY_S`."""
 WALK_SENSOR_K: Final = 0.3
-"""A sensor's error changes by this, besides. With more of it heat is less taken for a creeping
-sensor, and a creeping sensor more for heat: 0.2 misnames 2 % of overheating."""
+"""The same for a sensor's error, K. A larger value takes heat for a creeping sensor less often, but
+a creeping sensor for heat more often: 0.2 misnames 2 % of overheating."""
 CAUGHT_K, RARER = 1.5, 0.1
-"""Where steps are looked for: how far a sensor may be off at once (more would have been caught),
-and how much rarer one is that creeps, for most sensors step."""
+"""With the step detector: standard deviation of a sensor's first error (it finds larger ones), and
+factor on the share of creeping sensors, which are rarer because most sensors step."""
 OWN_K: Final = 0.02
-"""Deviation that a lump takes on by itself, per root of a minute, of a calibration that does not
-say."""
+"""Random deviation of a lump, K per root of a minute, for a calibration that does not state it."""
 UNSTEADY: Final = 0.3
-"""Share of a block's heat: a fault begins somewhere in a block."""
+"""Share of a block's heat that is uncertain, because a fault begins somewhere within a block."""
 WIDE_K: Final = 5.0
-"""How far off a block may be that is not what it seems."""
+"""How far off the readings of an outlying block may be."""
 SIZES_K: Final = np.array(
     [
         [0.0, 0.0, 0.0, 0.0],
@@ -72,55 +71,55 @@ SIZES_K: Final = np.array(
         *[[0.0, 6.0, CREEP_K_PER_S, 0.125]] * 3,
     ]
 )
-"""Of each mode: mean and deviation of a fault's size when it begins, how fast it creeps, K/s, and
-its share of all faults (`struct imm_fault`).
+"""For each mode: mean and standard deviation of a fault's size when it begins, its rate of creep,
+K/s, and its share of all faults (`struct imm_fault`).
 
-Of heat: K at the mean duty when settled. What heats a winding or a bearing may be of any power.
+The size of heat is K at the mean duty when settled. Heat in a winding or bearing: any power.
 """
 LOCAL: Final = [1, 3, 4]
-"""Modes whose heat comes into one lump: winding, ends."""
+"""Modes whose heat enters a single lump: winding, ends."""
 ANY_POWER: Final = 100.0
-"""Times those deviations, of the winding and the bearings of a motor that steps are not looked for
-in: its sensor's is all that bends too fast for heat, else."""
+"""Factor on the standard deviations of `LOCAL` for a motor too quick for the step detector (see
+`STEADY_S`): otherwise all that bends too fast for heat would count as a sensor fault."""
 BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
-"""Smaller ones are dirt, draught, weather and wear."""
+"""Smaller sizes are dirt, draught, weather and wear."""
 SHOWN_K: Final = 0.6
-"""What heat has to have made of some reading by now; before, draught does as much in a minute."""
+"""Rise that heat must have caused in some reading by now: draught causes less within a minute."""
 AMBIGUOUS, MISFIT_K = 0.3, 0.06
-"""Where lumps deviate by more than `MISFIT_K` by themselves, what a model of five lumps calls a
-sensor that creeps may be heat where it has no lump, or, of one that reads low, heat of a motor that
-it is compared with: this share of its probability counts for heat, so that neither is named. A
-sensor that the step detector has seen step is named all the same."""
+"""If the random deviation of lumps exceeds `MISFIT_K`, an apparently creeping sensor may be heat
+where the model has no lump or, if it reads low, heat of a motor that it is compared with. Then this
+share of its probability counts for heat, so that neither is named. A sensor whose step the step
+detector has found is named all the same."""
 RAISE: Final = 0.9
 """Probability above which a fault is reported, where no rate of false alarms is stated."""
 LEAST_COVERED: Final = 0.8
-"""Of a motor's held-back blocks, in the band of 95 %. One with less has `Reason` Config."""
+"""Least share of held-back blocks in the 95 % band; a motor with less gets `Reason` Config."""
 LOOSE_SHARE, GOOD_SHARE = 0.04, 1e-6
-"""Of a loose and of a good connector's readings, that are far off."""
+"""Share of readings that are far off, from a loose and from a good connector."""
 FAR_SIGMA, FAR_K = 6.0, 3.0
-"""Standard deviations that are far; K within a block that are not, as heat can do that."""
+"""A reading is far off beyond both: standard deviations, and K that heat can cause in a block."""
 BURST_LENGTH: Final = 5.0
-"""Readings of one burst: they are not independent."""
+"""Readings of one burst, which are not independent."""
 LOOSE_BEGIN_S, LOOSE_END_S = 30_000.0, 3600.0
 LEARNT_S: Final = 7200.0
 """Time constant of a motor's baseline, which is learnt while there is no fault."""
 LEAST_NOISE_K: Final = 0.01
 STEADY_S: Final = 100.0
-"""A motor whose quickest lump has a shorter time constant than this bends so fast that the step
-detector would take its heat for a sensor's: nothing is tested, the filters have to tell."""
+"""If a motor's quickest lump has a shorter time constant, its readings bend so fast that the step
+detector would take heat for a step. It is off then, and the filters decide alone."""
 GAP_S: Final = 60.0
-"""After so long without knowing how it was driven, a motor starts again."""
+"""Longest time without inputs: after it, a motor starts anew."""
 MOST_SAMPLES: Final[int] = lib.THERMAL_BLOCK_MAX
-"""Of a block, and of what the step detector looks at."""
+"""Most samples of a block, and of the step detector's window."""
 
 
 class Coverage(NamedTuple):
-    """How far the filters' prediction of a fault-free block holds, of M motors: see `coverage`.
+    """Coverage of fault-free blocks by the filters' prediction, of M motors: see `coverage`.
 
     inflation (M,): root mean square of the normalised innovations, at least 1; covered (M, 2):
-    share of them within the band of 95 % times that, in the half of the blocks with less copper
-    loss and in that with more; lag_one (M,): their correlation from block to block. Of a motor with
-    too few blocks 1, NaN, NaN.
+    share of them within the 95 % band times the inflation, in the half of the blocks with less
+    copper loss and in the half with more; lag_one (M,): their correlation from block to block. A
+    motor with too few blocks has 1, NaN, NaN.
     """
 
     inflation: Array
@@ -129,19 +128,19 @@ class Coverage(NamedTuple):
 
     @property
     def unexplained(self) -> NDArray[np.bool_]:
-        """(M,) whether even the inflated band leaves out too much, at either duty."""
+        """(M,) whether even the inflated band covers too few blocks, at either duty."""
         return np.asarray((self.covered < LEAST_COVERED).any(axis=1))
 
 
 class Known(NamedTuple):
-    """What fault-free runs have shown of a train's motors.
+    """Calibration of a train's motors from fault-free runs.
 
-    parameters (M, 18): see `model`; centre (M, 3) K: residual beside the peers'; noise (M, 3) K: of
-    single readings; scale: of `DISTURBANCES`; duty (4,): mean speed rad/s, and means of the
-    squared current A^2, of the frame's cooling and of the winding's heating K/s, of the fleet;
-    own_k: K per root of a minute that lumps deviate by themselves: more where the model is wrong.
-    coverage: of the filters with all this; None where it was not measured. raise_probability: of a
-    fault, above which it is reported (`promise`).
+    parameters (M, 18): see `model`; centre (M, 3) K: residual less the peers'; noise (M, 3) K: of
+    single readings; scale: factor on `DISTURBANCES`; duty (4,): the fleet's mean speed rad/s, and
+    means of the squared current A^2, of the frame's cooling and of the winding's heating K/s;
+    own_k: random deviation of lumps, K per root of a minute, larger where the model is wrong.
+    coverage: of the filters with all this; None if it was not measured. raise_probability:
+    probability of a fault above which it is reported (`promise`).
     """
 
     parameters: Array
@@ -164,8 +163,8 @@ class ThermalMonitor(Addressed):
     def __init__(self, known: Known, dt_s: float) -> None:
         """Samples come `dt_s` apart.
 
-        Raises ValueError where a block, or what the step detector looks at, is more than
-        `MOST_SAMPLES`.
+        Raises ValueError if a block, or the step detector's window, would have more than
+        `MOST_SAMPLES` samples.
         """
         self.known, self.dt_s = known, dt_s
         self.config = _config(known, dt_s)
@@ -194,16 +193,16 @@ class ThermalMonitor(Addressed):
 
     @property
     def position(self) -> int:
-        """Samples of the block that is under way."""
+        """Samples that the current block has so far."""
         return int(self.record["position"][0])
 
     @property
     def waiting(self) -> int:
-        """Motors of the last block that are not judged yet, the last ones."""
+        """Number of motors that still wait to be judged for the last block: the last ones."""
         return int(self.record["waiting"][0])
 
     def add_sample(self, reading: Array, square: Array, speed: Array, ambient: Array) -> None:
-        """One sample, NaN where there is none.
+        """Add one sample; NaN: no value.
 
         reading (M, 3) degC; square (M,) A^2 of the current's amplitude; speed (M,) rad/s without
         sign; ambient (M,) degC.
@@ -216,11 +215,11 @@ class ThermalMonitor(Addressed):
         )
 
     def close_block(self) -> None:
-        """A block ends, be it complete or not: compare the motors; they wait to be judged."""
+        """End a block, complete or not: compare the motors, which then wait to be judged."""
         lib.thermal_monitor_close_block(self.pointer)
 
     def judge(self, count: int) -> None:
-        """Judge so many of the motors that wait: who has little time does not do all at once."""
+        """Judge up to `count` of the waiting motors, so that a tick need not judge all at once."""
         lib.thermal_monitor_judge(self.pointer, count)
 
     @property
@@ -234,10 +233,10 @@ class ThermalMonitor(Addressed):
         return np.asarray(self.motors["held"].astype(np.bool_))
 
     def kinds(self) -> tuple[Array, Array]:
-        """(M, 11) probability of every kind by now, and (M,) K of what is wrong if anything is.
+        """(M, 11) probability of every kind of fault by now, and (M,) K: its size if there is one.
 
-        0 of a motor that its model does not explain.
-        A sensor that has stepped is off for certain, whatever else is wrong beside it.
+        The probabilities of a motor that its model does not explain are 0. A sensor that has
+        stepped is off for certain, whatever other fault the motor has.
         """
         motors = pointer("struct thermal_motor", self.motors)
         kind = np.empty((len(self.motors), len(KINDS)))
@@ -246,14 +245,14 @@ class ThermalMonitor(Addressed):
         return kind, np.maximum(self.motors["size_k"], np.abs(self.offsets).max(axis=1))
 
     def likelihood(self, off: Array, inputs: Records) -> float:
-        """Log likelihood of fault-free blocks, faults left out.
+        """Log likelihood of fault-free blocks under the filter without faults.
 
-        off (B, M, 3) K from the other motors, inputs (B, M) of `struct thermal_sums`.
+        off (B, M, 3): deviation from the other motors, K; inputs (B, M) of `struct thermal_sums`.
         """
         return float(sum(lib.thermal_likelihood(*each) for each in self.held_back(off, inputs)))
 
     def held_back(self, off: Array, inputs: Records) -> Iterator[tuple[Any, ...]]:
-        """For every motor what `thermal_likelihood` takes, without faults."""
+        """Arguments of `thermal_likelihood` for each motor, for the filter without faults."""
         config = self.config.copy()
         config["imm"]["modes"] = 1
         given = pointer("struct thermal_config", config)
@@ -267,7 +266,7 @@ class ThermalMonitor(Addressed):
 
 
 def followed(monitor: ThermalMonitor, record: Record) -> Iterator[bool]:
-    """A record sample by sample through a monitor; whether a block has been judged with it."""
+    """Run a record through a monitor; yields after each sample whether a block was judged."""
     ones = np.ones(record.motors)
     before = -1
     for k, at in enumerate(record.at.tolist()):
@@ -298,7 +297,7 @@ def imm_config(scale: float, block_s: float, faults: Array) -> Records:
 
 def _config(known: Known, dt_s: float) -> Records:
     """(1,) of `struct thermal_config`. Raises ValueError for samples too close together."""
-    # A median: one motor that could not be identified has any rate.
+    # A median, because a motor whose identification failed may have any rate.
     rates = known.parameters[:, [model.K_W, model.K_D, model.K_N]]
     quickest = float(np.median(rates, axis=0).max())
     block = max(round(min(BLOCK_SHARE / quickest, LONGEST_BLOCK_S) / dt_s), 1)
@@ -346,7 +345,7 @@ def _motors(known: Known, block: int) -> Records:
 
 
 def reading_noise(noise: Array, together: int) -> Array:
-    """(M,) K: of a motor's block medians, from single readings' noise (M, 3) K."""
+    """Noise (M,) K of a motor's block medians, from that of single readings (M, 3) K."""
     return np.asarray(1.5 * noise.max(axis=1) / np.sqrt(together) + LEAST_NOISE_K)
 
 

@@ -1,11 +1,11 @@
 """A stated rate of false alarms, and the limit of the monitor that keeps it.
 
-The limit comes from the largest log odds of a fault in every hour of a fault-free record that
-nothing was learnt from. If hours are exchangeable, the share of later hours that exceed the k-th
+The limit comes from the largest log odds of a fault in every hour of a fault-free record that was
+not used for learning. If hours are exchangeable, the share of later hours that exceed the k-th
 largest of n is Beta(k, n + 1 - k) distributed, whatever the model (Wilks 1941, tolerance limits).
 With fewer hours than that needs, the limit is extrapolated, and nothing is promised: above even
-odds, odds that are e times as large are assumed to be e times as rare, which holds of the posterior
-odds of a model that is right (Ville's inequality).
+odds, odds that are e times as large are assumed to be e times as rare, which holds for the
+posterior odds of a correct model (Ville's inequality).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ HOUR_S: Final = 3600.0
 BROKEN: Final = 0.05
 """Share of calibrations whose promise may be broken: one in twenty."""
 STORED: Final = 20
-"""Of the largest hours."""
+"""Number of the largest hours that are kept."""
 CERTAIN: Final = 30.0
-"""Log odds that no limit is above. A sensor that has stepped is reported whatever the limit."""
+"""Log odds that no limit exceeds: a sensor that has stepped is always reported."""
 
 
 class Hours(NamedTuple):
@@ -38,9 +38,10 @@ class Hours(NamedTuple):
 
 
 class Promise(NamedTuple):
-    """At most `rate` false alarms in 1000 h, and for it the limit of the probability of a fault.
+    """At most `rate` false alarms in 1000 h, and the limit of a fault's probability for it.
 
-    promised: hours are enough; needed: hours for this rate; least: rate that the hours suffice for.
+    promised: whether the hours guarantee the rate; hours: those measured; needed: hours that the
+    rate needs; least: lowest rate that the measured hours could guarantee.
     """
 
     rate: float
@@ -72,8 +73,8 @@ class Promise(NamedTuple):
 def hourly(monitor: ThermalMonitor, record: Record) -> Array:
     """(H,) largest log odds of a fault of any motor in each whole hour of a fault-free record.
 
-    monitor: a new one, in which nothing will be reported: what a report changes (`held`) would come
-    into the odds.
+    monitor: a new one. It is set to report nothing, because a report (`held`) would change the
+    odds.
     """
     monitor.config["raise_probability"] = 1.0
     judged = monitor.known_motors["unexplained"] == 0
@@ -90,19 +91,19 @@ def hourly(monitor: ThermalMonitor, record: Record) -> Array:
 
 
 def log_odds(p: float) -> float:
-    """From -`CERTAIN` to `CERTAIN`."""
+    """Log odds of a probability, limited to -`CERTAIN` .. `CERTAIN`."""
     least = 1.0 / (1.0 + math.exp(CERTAIN))
     p = min(max(p, least), 1.0 - least)
     return math.log(p / (1.0 - p))
 
 
 def hours_of(peaks: Array) -> Hours:
-    """Of what `hourly` gave, of one record or of several."""
+    """`Hours` of results of `hourly`, from one record or several."""
     return Hours(len(peaks), tuple(np.sort(peaks)[::-1][:STORED].tolist()))
 
 
 def promise_of(hours: Hours, rate: float) -> Promise:
-    """For `rate` false alarms in 1000 h; hours: one at least."""
+    """Promise for `rate` false alarms in 1000 h; hours: at least one."""
     share = -math.expm1(-rate / 1000.0)
     n, k = hours.number, _order(hours, share)
     seen = -math.expm1(math.log(BROKEN) / n)
@@ -115,9 +116,9 @@ def promise_of(hours: Hours, rate: float) -> Promise:
 
 
 def _order(hours: Hours, share: float) -> int:
-    """Largest k, of the hours that are stored, whose k-th largest is a tolerance limit; 0: none.
+    """Largest k for which the k-th largest of the stored hours is a tolerance limit; 0: none.
 
-    That is: in one calibration of twenty at most, more than this share of all hours exceeds it.
+    In at most one calibration of twenty, more than this share of all hours exceeds such a limit.
     """
     n = hours.number
     term = math.exp(n * math.log1p(-share))

@@ -1,4 +1,4 @@
-"""What a thermal method may look at: temperatures of a train's motors, and how it was driven."""
+"""Input of a thermal method: temperatures of a train's motors, and how the train was driven."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def spacing(record: Record) -> float:
 
 
 def join(runs: Sequence[Record]) -> Record:
-    """Runs of the same train and step, one after another. Raises ValueError for unlike steps."""
+    """Runs of the same train and step, one after another. Raises ValueError for unequal steps."""
     if len({run.step_s for run in runs}) != 1:
         raise ValueError("runs of one step length, at least one, can be joined")
     steps = np.cumsum([0, *(len(run.speed) for run in runs)])
@@ -75,8 +75,8 @@ def split(record: Record, k: int) -> tuple[Record, Record]:
 def features(record: Record, memories_s: Sequence[float] = MEMORIES_S) -> Array:
     """(K, U) inputs at every sample: ambient, and fading averages of I^2 and |speed|, SI.
 
-    The same for every method that has no thermal model of its own: one I^2 for the train (the
-    motors' mean) and the speed, each with the memories given.
+    Every method without a thermal model of its own uses them: one I^2 for the train (the motors'
+    mean) and the speed, each with the memories given.
     """
     square, speed = record.current_square.mean(axis=1), np.abs(record.speed)
     faded = [

@@ -2,16 +2,16 @@
 
 One filter per motor, its states the three points' temperatures. Between two samples every point is
 one lump, (1) corrected: Joule heat is that of the current, not of its change; the loss is
--xi (T - T_out); the time step belongs to both,
+-xi (T - T_out); the time step multiplies both,
 
     dT/dt = g I^2 - xi (T - T_out),     integrated exactly from sample to sample.
 
 After the prediction the sigma points of all three coupled points, each less its usual distance from
-their mean, are pooled, a mixture is fitted to the pool (EM), and its mean is the mixed state, the
-prior's common part. As printed that mean is (21), every component alike; `weighted` is the
-mixture's.
+their mean, are pooled, and a mixture is fitted to the pool (EM). Its mean is the mixed state, the
+common part of the prior. As printed, (21) weights every component alike in this mean; `weighted`
+uses the mixture's own mean.
 
-The filter itself and what is corrected in it: `sigma_mixed.c`.
+The filter itself and its corrections are in `sigma_mixed.c`.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ MIXING: Final = 0.2
 READING_VAR: Final = 0.1
 """K^2: noise and resolution of a temperature."""
 LOSSES: Final = 1.0 / np.geomspace(200.0, 7200.0, 15)
-"""Tried for xi, 1/s."""
+"""Values of xi that are tried, 1/s."""
 
 
 class Lumps(NamedTuple):
-    """Of each motor and point, all (M, 3) but `apart`.
+    """Parameters of each motor and point, all (M, 3) except `apart`.
 
     gain: g over xi, K/A^2; loss: xi, 1/s; offset: K; q, r: variances K^2 of the model's error from
     sample to sample and of a reading; apart (3,): usual distance of a point from the three's mean.
@@ -62,7 +62,7 @@ class Estimates(NamedTuple):
 
 
 def lumps(record: Record) -> Lumps:
-    """Least squares on a fault-free record: best of `LOSSES`, gain and offset of each point."""
+    """Least squares on a fault-free record: best of `LOSSES`, gain and offset for each point."""
     motors = record.motors
     shape = (motors, 3)
     gain, loss, offset, q, r = (np.zeros(shape) for _ in range(5))
@@ -79,8 +79,8 @@ def lumps(record: Record) -> Lumps:
                 if float(error @ error) < best:
                     best = float(error @ error)
                     gain[m, p], loss[m, p], offset[m, p] = a, xi, b
-                    # Between samples that are hours apart the model's error is white as well:
-                    # only what a sensor is like tells the two apart.
+                    # If samples are hours apart, the model's error is white, too: only the
+                    # known noise of a sensor separates the two.
                     total = max(float(np.var(error)), 2.0 * READING_VAR)
                     r[m, p], q[m, p] = READING_VAR, total - READING_VAR
     level = np.nanmean(record.temperature, axis=(0, 1))
@@ -96,7 +96,7 @@ def _forced(record: Record, m: int, xi: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class SigmaMixedFilter:
-    """Algorithm 1, and how far it is followed.
+    """Algorithm 1, with deviations from it as options.
 
     weighted: the mixture's mean in place of (21); mixing: share of the common part that the mixture
     gives (0 is the plain UKF).
@@ -108,7 +108,7 @@ class SigmaMixedFilter:
     def run(self, record: Record, known: Lumps, drift: Array | None = None) -> Estimates:
         """Algorithm 1 over a record; drift (M, 3) K/s of the degradation, in the prediction.
 
-        Causal. Readings that are missing predict only.
+        Causal. Without a reading the filter only predicts.
         """
         k, m, _ = record.temperature.shape
         settled = np.empty((k, m, 3))
@@ -132,9 +132,9 @@ class SigmaMixedFilter:
 def estimate(
     configs: Records, y: Array, settled: Array, keep: Array, gap: Array
 ) -> Estimates:  # fmt: skip
-    """Algorithm 1 from what each motor (M,) got; y, settled, keep (K, M, 3), gap (K,) s.
+    """Algorithm 1 for motors (M,) from their samples: y, settled, keep (K, M, 3), gap (K,) s.
 
-    What these are stands at `struct sigma_mixed_sample`.
+    See `struct sigma_mixed_sample`.
     """
     samples, motors, points = y.shape
     state, mixed = np.empty((motors, samples, points)), np.empty((motors, samples))

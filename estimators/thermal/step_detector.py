@@ -1,10 +1,10 @@
-"""Steps of sensors: nothing of 850 kg warms by kelvins within seconds.
+"""Steps of sensors: changes by kelvins within seconds, too fast for a motor of 850 kg.
 
-A sensor's residual (reading less model) is looked at through medians: of the last seconds against
-those before. Where they part by more than `STEP_K`, the medians are compared once more when what
-follows has settled: a burst is over by then, a step is not. Steps add up to how far the sensor is
-off; a step back to what it was is not a new fault. Only for readings that come every few seconds.
-Not in paper `thermal`. The rules are in `step_detector.c`.
+The detector compares the median of a sensor's residual (reading less model) over the last seconds
+with the median before. If they differ by more than `STEP_K`, it compares the medians again when the
+readings have settled: a burst is over by then, a step is not. Steps add up to the sensor's offset;
+a step back to the first level is no new fault. Only for readings that come every few seconds. Not
+in paper `thermal`. The rules are in `step_detector.c`.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ Array = NDArray[np.float64]
 
 BEFORE_S, AFTER_S, SETTLED_S = 20.0, 5.0, 25.0
 STEP_K: Final = 1.5
-"""Of medians over seconds; eight times their noise if single readings have 0.25 K."""
+"""Least step of medians over seconds: eight times their noise if single readings have 0.25 K."""
 BACK_K: Final = 1.0
-"""A sensor that is off by less is where it was."""
+"""A sensor that is off by less is back at its first level."""
 HEAT_K_PER_S: Final = 0.1
-"""Fastest that heat, unknown to the model, changes a level."""
+"""Largest rate at which heat unknown to the model changes a level."""
 SLOWEST_S: Final = 2.0
-"""Readings further apart can tell no step from heat."""
+"""Readings further apart do not distinguish a step from heat."""
 MOST_SAMPLES: Final[int] = lib.STEP_WINDOW_MAX
 
 
 def config(spacing_s: float, *, tested: bool = True) -> Records:
-    """(1,) of `struct step_config`, for samples `spacing_s` apart; not tested: no steps."""
+    """(1,) of `struct step_config`, for samples `spacing_s` apart; without `tested` no steps."""
     out = np.zeros(1, records.STEP_CONFIG)
     out["step_k"], out["back_k"] = STEP_K if tested else 0.0, BACK_K
     out["drift_k"] = HEAT_K_PER_S * spacing_s
@@ -42,5 +42,5 @@ def config(spacing_s: float, *, tested: bool = True) -> Records:
 
 
 def window(configs: Records) -> int:
-    """Samples that the detector looks at."""
+    """Samples in the detector's window."""
     return int(lib.step_window(pointer("struct step_config", configs)))

@@ -1,11 +1,12 @@
 """Parameters of `model` from fault-free runs, by output error.
 
 The whole run is simulated and compared with the readings. (One-step prediction errors are biased:
-at 1 Hz the noise is ten times the change per step.) Motors of a fleet are alike: the mean motor is
-found first, by Levenberg-Marquardt; every motor's own then from the mean motor's sensitivities, in
-a few Gauss-Newton steps. Rates are sought as logarithms, so they stay positive, and near typical
-ones unless the data say otherwise. How warm the core was at the beginning of a run is sought as
-well: nobody measures it, and a wrong guess is an hour of wrong readings that bends all rates.
+at 1 Hz the noise is ten times the change per step.) The motors of a fleet are alike, so the mean
+motor is found first, by Levenberg-Marquardt. Each motor's own parameters follow from the mean
+motor's sensitivities in a few Gauss-Newton steps. The search is for logarithms of rates, so that
+rates stay positive, and near typical ones unless the data contradict. The core's temperature at the
+beginning of a run is unknown, too: it is not measured, and a wrong guess makes an hour of the model
+wrong, which bends all rates.
 """
 
 from __future__ import annotations
@@ -35,23 +36,23 @@ from estimators.thermal.record import Record
 Array = NDArray[np.float64]
 
 PRIOR_SIGMA: Final = np.array([0.5] * RATES + [5.0] * 3)
-"""Of the logarithm of a rate around the typical one, and K of an offset."""
+"""Prior of the logarithm of a rate around the typical one, and of an offset, K."""
 OWN_SIGMA: Final = np.array([0.15] * RATES + [2.0] * 3)
-"""The same of a motor around the mean motor."""
+"""The same for a motor around the mean motor."""
 CORE_SIGMA: Final = 15.0
-"""K of a run's first core temperature around what its ends say."""
+"""Prior, K, of a run's first core temperature around that of `model.initial_state`."""
 NOISE_K: Final = 2.0
-"""What the model leaves unexplained, independent from sample to sample."""
+"""Standard deviation of the residuals, taken as independent from sample to sample."""
 MOST_SAMPLES: Final = 400
 DIFFERENCE: Final = 1e-3
 ITERATIONS: Final = 30
 MOST_STEP: Final = 1.0
-"""Of one iteration, prior standard deviations."""
+"""Largest step of one iteration, in prior standard deviations."""
 OWN_STEPS: Final = 8
 
 
 TYPICAL_SQUARE, TYPICAL_SPEED = 1.2e4, 200.0
-"""A^2 and rad/s: mean duty of the motor that `model.TYPICAL` is of."""
+"""A^2 and rad/s: mean duty of the motor that `model.TYPICAL` describes."""
 SCALED_SIGMA: Final = np.array([1.5] * RATES + [2.0] * 3)
 """As `PRIOR_SIGMA`, around rates that were only scaled to a motor's size."""
 PACES: Final = (1.0, 2.0, 4.0, 8.0)
@@ -61,7 +62,7 @@ PACES: Final = (1.0, 2.0, 4.0, 8.0)
 def scaled(runs: Sequence[Record]) -> Array:
     """(18,) typical rates for motors of another size, for `identify`: the likeliest of a few.
 
-    Losses are taken to warm it as much at its own mean duty as the typical motor at its.
+    Losses are assumed to warm each motor at its own mean duty as much as the typical one at its.
     """
     square = max(float(np.mean([run.current_square.mean() for run in runs])), 1e-9)
     speed = max(float(np.mean([np.abs(run.speed).mean() for run in runs])), 1e-9)
@@ -86,8 +87,8 @@ def identify(
 ) -> Array:
     """(M, 18) parameters of the motors from fault-free runs (at least one) of all of them.
 
-    typical (18,): where the search begins, and near what it stays unless the data say otherwise;
-    spread (18,): how near, of the logarithms of rates and K of offsets.
+    typical (18,): start of the search and mean of the prior; spread (18,): standard deviations of
+    the prior, of the logarithms of rates and of offsets, K.
     Raises ValueError if there is no reading.
     """
     inputs = [_thinned(run) for run in runs]
@@ -107,7 +108,7 @@ class _Run(NamedTuple):
     start: Array
 
     def mean(self) -> _Run:
-        """Of the motors, as one motor."""
+        """Mean over the motors, as one motor."""
         square = self.inputs.current_square.mean(axis=1, keepdims=True)
         with np.errstate(invalid="ignore"):
             seen = np.isfinite(self.readings)
@@ -148,7 +149,7 @@ def _plain(theta: Array, typical: Array) -> Array:
 
 
 def _mean_motor(runs: Sequence[_Run], typical: Array, spread: Array) -> Array:
-    """(18 + R,) search variables of the mean motor, and K of its core at the begin of R runs."""
+    """(18 + R,) search variables of the mean motor, and K of its core at the start of R runs."""
     theta, damping = np.zeros(COUNT + len(runs)), 1.0
     sigma = np.concatenate([spread, np.full(len(runs), CORE_SIGMA)])
     error, cost = _errors(theta, runs, sigma, typical)
@@ -189,7 +190,7 @@ def _slopes(theta: Array, runs: Sequence[_Run], typical: Array) -> Array:
 
 
 def _sensitivities(theta: Array, core: float, run: _Run, typical: Array) -> tuple[Array, Array]:
-    """Derivatives by differences, all perturbed motors in one run: (3 K, 18); by the core."""
+    """Derivatives by difference, all perturbed motors in one run: (3 K, 18); by the core (3 K,)."""
     tried = np.tile(theta, (COUNT + 2, 1))
     tried[1 : COUNT + 1] += DIFFERENCE * np.eye(COUNT)
     warmer = np.full(COUNT + 2, core)

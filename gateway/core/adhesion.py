@@ -42,12 +42,12 @@ class AdhesionMonitor(Addressed):
     def __init__(
         self, config: Adhesion, motors: Sequence[Motor], rules: Records, tick_ns: Nanos
     ) -> None:
-        """rules: of the flags; motors: per drive."""
+        """rules: `flag_rules`; motors: one per drive."""
         self.config, self.rules = config, rules
         self.rated = tuple(motor.T_rated for motor in motors)
         self.detector = make(config.detector, config.observe, config.tolerance, config.reuse)
         self.in_core = isinstance(self.detector, VariationalDetector | SwitchingDetector)
-        """Whether the detector is one of those in the core."""
+        """Whether the core runs the detector."""
         n = len(motors)
         self.rotors = _rotors(motors)
         self.rotor_inputs = np.zeros(n, ROTOR_INPUTS)
@@ -87,10 +87,10 @@ class AdhesionMonitor(Addressed):
         self.uncertain: NDArray[np.uint8] = self.rotors["uncertain"]
         """(N,) drives whose rotor may run away."""
         self.unreliable_until_ns: NDArray[np.int64] = self.rotors["unreliable_until_ns"]
-        """(N,) until then the currents of a drive accuse nobody."""
+        """(N,) ns: until then the currents of a drive are no evidence of a loss."""
 
     def ask_detector(self, estimates: Records) -> None:
-        """As `adhesion_detect`, by a detector that is not in the core. estimates: (N,)."""
+        """Do what `adhesion_detect` does, with a detector outside the core. estimates: (N,)."""
         speeds = None if self.config.observe == "torque" else np.abs(estimates["speed_rad_s"])
         lost, known, common = self.detector(
             Evidence(self.normalised, self.sigma, self.compared, speeds)
@@ -100,12 +100,12 @@ class AdhesionMonitor(Addressed):
 
     @property
     def opinion(self) -> Opinion:
-        """Of the last tick, fused."""
+        """Opinion of the last tick, after the fusion with other criteria."""
         return Opinion(self.loss_probability, self.loss_known, self.record["common"].item())
 
 
 def _rotors(motors: Sequence[Motor]) -> Records:
-    """Ratings. Speeds are compared between drives whose motors have the same ratings.
+    """`rotor` of every drive. Speeds are compared between motors of the same ratings.
 
     What was measured on each motor, such as its flux, may differ.
     """

@@ -15,7 +15,7 @@ from gateway.core.receiving import Receiver
 
 
 class BusLoad(Addressed):
-    """Counts frames of one bus; nominal and data bit rate in bit/s."""
+    """Load of one bus; bitrate, data_bitrate: nominal and data bit rate, bit/s."""
 
     def __init__(self, bitrate: int, data_bitrate: int, start_ns: Nanos) -> None:
         self.record = np.zeros(1, BUS_LOAD)
@@ -32,12 +32,12 @@ class BusLoad(Addressed):
         self.pointer = ffi.from_buffer("struct bus_load *", self.record)
 
     def add(self, frames: Iterable[Frame]) -> None:
-        """Count frames that go out in this tick."""
+        """Count frames that are sent in this tick."""
         for frame in frames:
             lib.bus_load_send(self.pointer, frame[3] & FD, len(frame[2]))
 
     def add_block(self, block: Block, receiver: Receiver | None, now: Nanos) -> None:
-        """Count what came in a tick but for the receiver's own; None: there are none."""
+        """Count frames received in a tick, except the gateway's own; receiver None: count all."""
         lib.bus_load_tick(self.pointer, now)
         lib.bus_load_receive(
             self.pointer, ffi.NULL if receiver is None else receiver.pointer, block.columns(), 0,
@@ -45,6 +45,6 @@ class BusLoad(Addressed):
         )  # fmt: skip
 
     def percent(self, now: Nanos) -> float | None:
-        """The last closed window; None before the first, or when it is long past."""
+        """Load in the last closed window; None before the first, or 2 s after its end."""
         percent = lib.bus_load_percent(self.pointer, now)
         return None if math.isnan(percent) else percent

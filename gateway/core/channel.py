@@ -1,4 +1,4 @@
-"""One received message of one drive: what it is, its age, and why it is unknown.
+"""One received message of one drive: its constants, its age, and why it is unknown.
 
 The records are `struct channel` (gateway/core/records.h), one per message; the rules by which they
 change are in `gateway/core/receive.c`. A `Channel` shows one.
@@ -25,7 +25,7 @@ SAMPLE_NS: Final[Nanos] = 125_000
 RPM: Final = 2.0 * math.pi / 60.0
 """rad/s in one revolution per minute."""
 SHORTEST_STEP: Final = 0.75
-"""Share of its period in which a counter step is a sign of a second sender."""
+"""A counter step in a shorter share of its period indicates a second sender."""
 
 # The signals the gateway uses of each kind, in the order in which they are received. Mapped
 # inverters have no `ElectricalAngle` and no `State`.
@@ -85,12 +85,12 @@ class Channel:
         self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
 
     def seat(self, row: int) -> None:
-        """Where its record is kept."""
+        """Note the row of its record."""
         self.row = row
 
 
 def records(channels: Sequence[Channel]) -> Records:
-    """Of these channels, (C,) of `struct channel`; nothing received yet."""
+    """`struct channel` of these channels, (C,); nothing received yet."""
     found = np.zeros(len(channels), CHANNEL)
     found["e2e_config"] = e2e.configs([channel.spec for channel in channels])
     found["e2e_state"] = e2e.states(len(channels))
@@ -109,7 +109,7 @@ def records(channels: Sequence[Channel]) -> Records:
 
 
 def sequence_guards(periods_ns: Sequence[Nanos]) -> Records:
-    """Of messages with these periods, (C,) of `struct sequence_guard`; nothing received yet."""
+    """`struct sequence_guard` of messages with these periods, (C,); nothing received yet."""
     found = np.zeros(len(periods_ns), SEQUENCE_GUARD)
     found["shortest_step_ns"] = SHORTEST_STEP * np.array(periods_ns, dtype=np.float64)
     for name in ("counter_ns", "error_ns", "rejected_until_ns"):

@@ -1,6 +1,6 @@
 """Enumerations of the message set: reasons, health, flags. Values are the contract's, section 1.
 
-They stand in `gateway/core/records.h`.
+They are defined in `gateway/core/records.h`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 from _traction_core import lib
 
 NEVER: Final = -(1 << 63)
-"""In place of a stamp, or an age, that there is not."""
+"""Value of a time stamp or an age that does not exist."""
 
 
 class Flag(IntEnum):
@@ -44,7 +44,7 @@ class Reason(IntEnum):
 
 
 RANKS: Final = tuple(lib.reason_rank(reason) for reason in Reason)
-"""Of a reason's number: lower is worse. The frame's `Reason` is the worst of any unknown drive."""
+"""Rank by a reason's number: lower is worse. A frame's `Reason` is the worst of unknown drives."""
 
 
 class Health(IntEnum):
@@ -59,7 +59,7 @@ class Health(IntEnum):
 
 
 class FaultClass(IntEnum):
-    """What kind of thermal or sensor fault."""
+    """Kind of a thermal or sensor fault."""
 
     UNKNOWN = lib.FAULT_UNKNOWN
     NONE = lib.FAULT_NONE
@@ -76,7 +76,7 @@ SENSOR_FAULTS: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultCl
 
 
 class FaultSensor(IntEnum):
-    """Which sensor a sensor fault is on."""
+    """Sensor that has a sensor fault."""
 
     NONE = lib.FAULT_ON_NONE
     STATOR = lib.FAULT_ON_STATOR

@@ -1,7 +1,7 @@
 """Estimates of N drives by their filters: records and constants of `gateway/core/estimate.c`.
 
-When a filter starts or is dropped, and what is known of a drive, stands in C; the fields of the
-records in `gateway/core/records.h`. May know: motors. May not know: frames, clocks, flags.
+The rules by which a filter starts or is dropped, and a drive's state is known, are in C, the fields
+of the records in `gateway/core/records.h`. May know: motors. May not know: frames, clocks, flags.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from gateway.settings.sections import Estimator
 SETTLE_STEPS: Final = lib.FILTER_SETTLE_STEPS
 """Sub-steps (60 ms) a new filter runs before its load is valid."""
 SAMPLES_AT_FIRST: Final = 512
-"""Of a tick, that there is room for before one brings more."""
+"""Samples per tick that there is room for, until a tick has more."""
 
 
 class Bank(Addressed):
@@ -66,7 +66,7 @@ class Bank(Addressed):
         self.filters, self.chords = zeros(n, FILTER), zeros(n, ACQUISITION)
         self.sensors, self.tracks = zeros(n, CURRENT_CALIBRATION), zeros(n, FILTER_TRACK)
         self.samples = zeros(SAMPLES_AT_FIRST, FILTER_SAMPLE)
-        """Of the last tick, with their `nis`."""
+        """Samples of the last tick, with their `nis`."""
         self.estimates = estimates(n)
         self.record = np.zeros(1, ESTIMATOR)
         self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
@@ -87,7 +87,7 @@ class Bank(Addressed):
         self.x, self.P = self.filters.x, self.filters.P
 
     def reserve(self, samples: int) -> None:
-        """For so many samples of a tick."""
+        """Make room for so many samples per tick."""
         if samples > len(self.samples):
             self.samples = zeros(samples, FILTER_SAMPLE)
             self.link()

@@ -1,7 +1,7 @@
 """Flags of N drives: their records. The C sources have the rules.
 
-What a flag follows and how long evidence must hold stands in `gateway/core/flags.c`, the fields of
-the records in `gateway/core/records.h`. May know: flags and reasons. May not know: frames, clocks.
+What a flag follows and how long evidence must hold is in `gateway/core/flags.c`, the fields of the
+records are in `gateway/core/records.h`. May know: flags and reasons. May not know: frames, clocks.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dbc.records import (
 from gateway.core.codes import NEVER, Flag, Reason
 
 UNCHANGED: Final[int] = lib.FLAG_UNCHANGED
-"""In place of evidence: that of before stands, and no flag changes by it."""
+"""In place of evidence: the flag stays as it is, and the tick does not count."""
 
 
 class FlagKind(IntEnum):
@@ -58,7 +58,7 @@ def rules(
     timing: Sequence[Timing], severe: Timing, raise_probability: float, clear_probability: float,
     tick_ns: int,
 ) -> Records:  # fmt: skip
-    """One `flag_rules`. timing: by `FlagKind`; severe: of adhesion, where no noise is the cause."""
+    """One `flag_rules`. timing: by `FlagKind`; severe: for a severe loss of adhesion."""
     made = np.zeros(1, FLAG_RULES)
     made["timing"] = [[tuple(each) for each in timing]]
     made["severe"] = tuple(severe)
@@ -68,7 +68,7 @@ def rules(
 
 
 def unknown_status(n: int, detector: int, start_ns: int = 0) -> Status:
-    """Of N drives of which nothing is known; detector: its number in the DBC."""
+    """Status of N drives of which nothing is known; detector: its number in the DBC."""
     drives, train = np.zeros(n, DRIVE_STATUS), np.zeros(1, TRAIN_STATUS)
     drives["flag"]["since_ns"] = start_ns
     for name, kind in zip(DRIVE_STATUS.names, DRIVE_STATUS.descr, strict=False):
@@ -83,7 +83,7 @@ def unknown_status(n: int, detector: int, start_ns: int = 0) -> Status:
 
 
 class Flags(Addressed):
-    """Records of N drives' flags: what a tick fills in, and what it makes of them."""
+    """Records of N drives' flags: the inputs that a tick fills in, and the resulting status."""
 
     def __init__(self, rules: Records, n: int, detector: int, start_ns: int) -> None:
         self.rules = rules

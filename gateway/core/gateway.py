@@ -1,7 +1,7 @@
 """The core: `Gateway.step(frames, now) -> frames`.
 
-What happens in a tick, and in which order, stands in `gateway/core/tick.c`; the fields of the
-records in `gateway/core/records.h`. This module makes the records, and does what needs Python:
+What happens in a tick, and in which order, is in `gateway/core/tick.c`; the fields of the
+records are in `gateway/core/records.h`. This module makes the records, and does what needs Python:
 frames of other makers' drives, emergency messages, a detector that is not in the core,
 authentication.
 
@@ -11,8 +11,8 @@ Five laws:
 2. Same frames and same nows give the same bytes out.
 3. `step` never raises on wire data or numbers: wire faults are counted, numeric faults reset
    that drive's filter and set its health. Exceptions mean a programming or configuration error.
-4. Missing is not NaN: every input has a time stamp, and its age shows that it is missing. Inside the
-   core NaN means "not known"; no NaN is sent, and none makes a flag good.
+4. Missing is not NaN: every input has a time stamp, and its age shows that it is missing. Inside
+   the core NaN means "not known"; no NaN is sent, and none makes a flag good.
 5. The truth never meets the estimate: `sim/` and `estimators/` do not import one another;
    parameters are frozen.
 """
@@ -58,7 +58,7 @@ COMM_CLEAR_NS: Final = 100 * MS
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
 SENT: Final = 2048
-"""Frames of ours that there is room for in a `run`; never less than those of a tick."""
+"""Room for the gateway's own frames in a `run`; never less than for those of a tick."""
 
 
 class Gateway(Addressed):
@@ -76,9 +76,9 @@ class Gateway(Addressed):
         start_ns: Nanos,
         authenticator: Authenticator | None = None,
     ) -> None:
-        """Raises ConfigError where configuration, calibration and DBC do not fit.
+        """Raises ConfigError if configuration, calibration and DBC do not fit.
 
-        authenticator: made by the driver, who has the key; None sends no `Gateway_Auth`.
+        authenticator: made by the driver, which has the key; None sends no `Gateway_Auth`.
         """
         nodes, tick_ns = config.nodes, config.loop.period_ns
         motors = [config.motors[d.motor] for d in config.drive]
@@ -149,15 +149,15 @@ class Gateway(Addressed):
         self.keep_ticks(ffi.NULL)
 
     def keep_ticks(self, log: Any) -> None:
-        """Each tick leaves a row in a `struct tick_log *`, until it is full; NULL: no longer.
+        """Write a row per tick into a `struct tick_log *` until it is full; NULL ends this.
 
-        A copy of a gateway, and one put back to another state, have none.
+        A copied gateway has no log, nor has one that was put into another state.
         """
         self._log = log
         self.pointer.log = log
 
     def resume(self, now: Nanos) -> None:
-        """The records are those of another gateway, whose last tick was at `now`."""
+        """Go on with records taken from another gateway, whose last tick was at `now`."""
         self._now, self._view = now, None
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
@@ -179,7 +179,7 @@ class Gateway(Addressed):
         self._now, self._view = now, None
 
     def _run_one(self, block: Block, now: Nanos) -> None:
-        """One tick, of all frames of a block."""
+        """Run one tick with all frames of a block."""
         size = len(block.t_ns)
         if size > self._capacity:
             self._reserve(size)
@@ -191,12 +191,12 @@ class Gateway(Addressed):
             self._finish(block, 0, now)
 
     def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
-        """Ticks at `now`, a period later and so on, one for each of ends (K,).
+        """Run ticks at `now`, a period later and so on, one for each of ends (K,).
 
-        Gives their number, and what goes out. Tick k takes the frames from ends[k - 1] (0 for the
-        first) to ends[k]. Ends behind the first tick in which a flag changed: those that are left
-        are the caller's to ask for again. `peak` is of the ticks that were done. Raises ValueError
-        for ends that are none of this block.
+        Returns how many were run, and the frames to send. Tick k takes the frames from ends[k - 1]
+        (0 for the first) to ends[k]. It stops after a tick in which a flag changed, or with a full
+        log; the caller asks for the rest again. `peak` is that of the ticks that were run. Raises
+        ValueError for ends outside this block.
         """
         ends = np.ascontiguousarray(ends, dtype=np.int64)
         sizes = np.diff(ends, prepend=0, append=block.size)
@@ -219,7 +219,7 @@ class Gateway(Addressed):
         return done, out
 
     def _run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> int:
-        """`run` in `tick.c`, and what of its last tick needs Python; at least one tick."""
+        """`run` in `tick.c`, then the Python part of its last tick; runs at least one tick."""
         each = pointer("int64_t", ends)
         done: int = lib.run(self.pointer, block.columns(), each, len(ends), now)
         if not done:
@@ -231,7 +231,7 @@ class Gateway(Addressed):
         return done
 
     def _finish(self, block: Block, first: int, now: Nanos) -> None:
-        """What needs Python of the last tick of a call, whose frames begin at `first`."""
+        """Python part of the last tick of a call; its frames begin at `first`."""
         if self.pointer.stage == lib.STAGE_DETECT:
             self.adhesion.ask_detector(self.bank.estimates)
             lib.finish_tick(self.pointer, now)
@@ -239,7 +239,7 @@ class Gateway(Addressed):
             self.inbox.read_emergencies(block, first)
 
     def _reserve(self, frames: int) -> None:
-        """In the receiver, and for samples, for so many frames in a tick."""
+        """Make room, in the receiver and for samples, for so many frames in a tick."""
         receiver = self.inbox.receiver
         if frames > receiver.rows:
             receiver.reserve(2 * frames)
@@ -247,7 +247,7 @@ class Gateway(Addressed):
         self._capacity = receiver.rows
 
     def leave_out(self, frames: int) -> None:
-        """So many of a log were left out for the time of their stamps."""
+        """Count frames of a log that were left out because of their time stamps."""
         self.inbox.added["received"] += frames
         self.inbox.added["time_back"] += frames
         self._note_rejected()
@@ -256,9 +256,9 @@ class Gateway(Addressed):
         self.outbox.note_rejected(sum(self.inbox.added[cause] for cause in REJECTED))
 
     def _translated(self, translator: Translator, block: Block, now: Nanos) -> Block:
-        """Frames of one tick as the core knows them; the load of the bus is that of the others."""
+        """Translate frames of one tick for the core; the bus load counts the original frames."""
         received = block.ordered()
-        # Our own frames are counted as they go out; in a log they stand a second time.
+        # Our own frames are counted when they are sent; in a log they appear a second time.
         self.load.add_block(received, self.inbox.receiver, now)
         taken = translator.translate(received, now, self.inbox.added)
         self._note_rejected()
@@ -266,12 +266,12 @@ class Gateway(Addressed):
 
     @property
     def changed(self) -> bool:
-        """Whether a flag of any drive is another than in the tick before; so it is at first."""
+        """Whether a flag of any drive differs from the tick before; True at first."""
         return bool(self.pointer.changed)
 
     @property
     def begun(self) -> bool:
-        """Whether there was a tick."""
+        """Whether a tick has been run."""
         return bool(self.pointer.begun)
 
     @property
@@ -286,7 +286,7 @@ class Gateway(Addressed):
 
     @property
     def view(self) -> GatewayView | None:
-        """What the last step says; None before the first. Made when it is asked for."""
+        """Result of the last step, made on demand; None before the first."""
         if self._view is None and self.begun:
             opinion = self.adhesion.opinion
             common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
@@ -296,7 +296,7 @@ class Gateway(Addressed):
 
     @property
     def says_good(self) -> bool:
-        """Whether any flag of the last step says good."""
+        """Whether any flag of the last step is good."""
         each, train = self.status.drives["flag"]["state"], self.status.train
         sent = each[:, [FlagKind.ADHESION, FlagKind.THERMAL]]
         together = [train[name] for name in ("sensor", "comm", "estimator")]
@@ -304,12 +304,12 @@ class Gateway(Addressed):
 
     @property
     def decided_ns(self) -> Nanos | None:
-        """Stamp of the newest sample that the last step's flags rest on; None before any."""
+        """Stamp of the newest sample behind the last step's flags; None before any."""
         newest = int(self.inbox.receiver.drives["sample_ns"].max())
         return newest if newest >= 0 else None
 
     def unknown_frames(self, now: Nanos) -> list[Frame]:
-        """Flag frames that say unknown: sent thrice before an orderly stop."""
+        """Frames in which all flags are unknown: sent three times before an orderly stop."""
         if self.silent:
             return []
         unknown = unknown_status(len(self.nodes), self.adhesion.detector.code)
@@ -321,7 +321,7 @@ class Gateway(Addressed):
         return [f for f in self.outbox.due(unknown, now) if f.can_id in wanted]
 
     def counted(self, now: Nanos) -> Counted:
-        """What the frames of a tick at `now` say of the frames so far."""
+        """Counters that the frames of a tick at `now` contain."""
         counts = self.inbox.counts
         return Counted(
             self.integrity.deadline_misses, sum(counts[c] for c in REJECTED), counts["lost"],
@@ -332,7 +332,7 @@ class Gateway(Addressed):
 def _thermal(
     config: Config, drives: Sequence[DriveInput], cells: calibration.Calibration | None
 ) -> TemperatureMonitor:
-    """What judges the motors' temperatures."""
+    """Monitor of the motors' temperatures."""
     cycles = [d.channels["Temperatures"].period_ns for d in drives if "Temperatures" in d.channels]
     return TemperatureMonitor(
         len(drives), max(cycles, default=100 * MS), config.thermal.window_s, cells, config.nodes,
@@ -348,13 +348,13 @@ def _limit_ns(drive: DriveInput, kind: str) -> Nanos:
 
 
 def _rules(config: Config, slowest_ns: Nanos) -> Records:
-    """From evidence to flags; slowest_ns: cycle of the slowest message."""
+    """Rules from evidence to flags; slowest_ns: cycle of the slowest message."""
     a, t = config.adhesion, config.thermal
     adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
     timing = [
         adhesion,
         Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
-        # Good no sooner than the slowest message can have been heard for the first time.
+        # Good no sooner than the slowest message can have been received for the first time.
         Timing(slowest_ns, 0, COMM_CLEAR_NS),
         ESTIMATOR,
         SENSOR,
@@ -375,7 +375,7 @@ def _current_step_a(codec: Codec) -> float:
 
 
 def _timing(drives: Sequence[DriveInput]) -> Timebase:
-    """How often currents and `Motion` come, and how finely the latter tells speed."""
+    """How often currents and `Motion` come, and the latter's resolution of speed."""
     electrical = [d.electrical[0] for d in drives if d.electrical]
     motion = [d.motion for d in drives if d.motion is not None]
     spacing = [SAMPLE_NS if c.kind == SAMPLES else c.period_ns for c in electrical]

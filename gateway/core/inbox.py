@@ -2,7 +2,7 @@
 
 May know: the message set through the codec, time stamps inside frames. May not know: clocks,
 buses, estimators. Bad input never raises here; it is counted by cause, and the cause is kept
-so that the affected flag can say why it is unknown.
+as the reason why the affected flag is unknown.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
 SAMPLES = "Samples"
 SLOW = ("Motion", "Status", "Temperatures")
 MAX_GAP_NS: Final[Nanos] = 200_000_000
-"""Longer without a sample: the filter starts anew instead of coasting."""
+"""After a longer time without a sample the filter starts anew instead of coasting."""
 USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
 OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
@@ -36,7 +36,7 @@ OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
 class Temperatures(NamedTuple):
     """One reading of a drive's points (stator, drive end, non-drive end, ambient), degC.
 
-    NaN where not `valid`: the number is never used there. raw: tenths of a degree, -1 if none.
+    celsius is NaN where not `valid`. raw: tenths of a degree, -1 if none.
     """
 
     drive: int
@@ -58,7 +58,7 @@ class DriveInput:
         self.status: Channel | None = None
 
     def seat(self) -> None:
-        """All channels are there: note which carry what."""
+        """Note which channel carries what, once all are there."""
         self.motion, self.status = self.channels.get("Motion"), self.channels.get("Status")
         kinds = (SAMPLES,) if SAMPLES in self.channels else ELECTRICAL
         if all(kind in self.channels for kind in kinds):
@@ -67,7 +67,7 @@ class DriveInput:
 
 
 class Inbox:
-    """Entry of frames: all receive state."""
+    """Entry of frames, with all state of reception."""
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class Inbox:
             drive.seat()
 
     def places(self, sum_limit_a: Sequence[float]) -> inputs.Places:
-        """Which channels are whose. sum_limit_a: what a drive's phases may sum to, A."""
+        """Channels of each drive. sum_limit_a: limit of the sum of a drive's phase currents, A."""
         rows = []
         for drive in self.drives:
             mine = [c.row for c in drive.channels.values()]
@@ -118,7 +118,7 @@ class Inbox:
         return inputs.places(rows, [drive.limit_ns for drive in self.drives], sum_limit_a)
 
     def read_emergencies(self, block: Block, first: int) -> None:
-        """Those of the last tick, whose frames begin at `first`."""
+        """Read the emergencies of the last tick, whose frames begin at `first`."""
         tick = self.receiver.pointer.tick
         for k in self.receiver.space["emergency_rows"][: tick.emergencies].tolist():
             known = self.supervision.observe(block.frame(first + k))
@@ -126,7 +126,7 @@ class Inbox:
 
     @property
     def counts(self) -> Counter[str]:
-        """Frames since the start: received ones, what became of them, and those that are lost."""
+        """Counts since the start: frames received, by result, and frames lost."""
         pointer = self.receiver.pointer
         found = Counter(self.added)
         counters = zip(NAMES, self.receiver.counters.tolist(), strict=True)
@@ -139,7 +139,7 @@ class Inbox:
 
     @property
     def temperatures(self) -> list[Temperatures]:
-        """Readings of the tick, for whoever wants to show them."""
+        """Readings of the tick, for displays."""
         seen = self.receiver.space["temperature_rows"][: self.receiver.pointer.tick.temperatures]
         return [self._temperature(row) for row in seen.tolist()]
 

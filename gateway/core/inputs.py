@@ -1,6 +1,6 @@
 """Which inputs of every drive are valid in a tick: records. The C sources have the rules.
 
-What makes an input invalid stands in `gateway/core/inputs.c`, the fields of the records in
+What makes an input invalid is in `gateway/core/inputs.c`, the fields of the records in
 `gateway/core/records.h`. May know: channels and their numbers. May not know: frames, clocks,
 estimators.
 """
@@ -23,7 +23,7 @@ Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 
 NONE: Final = -1
-"""No such channel."""
+"""In place of a channel that does not exist."""
 
 
 class Places(NamedTuple):
@@ -39,9 +39,9 @@ def places(
     limit_ns: Sequence[Nanos],
     sum_limit_a: Sequence[float],
 ) -> Places:
-    """From every drive's first channel and that behind its last, electrical ones, Motion, Status.
+    """`Places` from rows of first channel, end, electrical channels, Motion, Status of each drive.
 
-    limit_ns: how old a sample of current may be; sum_limit_a: what the phases' sum may be, A.
+    limit_ns: how old a sample of current may be; sum_limit_a: limit of the sum of the phases, A.
     """
     made = np.zeros(len(rows), DRIVE_CHANNELS)
     for one, (first, end, electrical, motion, status) in zip(made, rows, strict=True):

@@ -17,16 +17,16 @@ from dbc.records import INTEGRITY, Addressed
 from gateway.core.codes import NEVER, Reason
 
 OVERRUN_HOLD_NS: Final[Nanos] = SECOND
-"""An overrun is reported for so long."""
+"""Time for which an overrun is reported."""
 INTRUDER_HOLD_NS: Final[Nanos] = 10 * SECOND
-"""With `on_intruder = "unknown"`: after the last frame of an intruder flags are unknown so long."""
+"""With `on_intruder = "unknown"`: time for which flags stay unknown after an intruder."""
 LOST_TICKS: Final = 5
-"""After frames that nobody read in time: what was lost may be of any drive."""
+"""Ticks with unknown flags after frames were lost unread, which may be of any drive."""
 FOREVER: Final[Nanos] = (1 << 63) - 1
 
 
 class IntegrityMonitor(Addressed):
-    """Notes of the driver before a step, and what they come to in a tick.
+    """Notes of the driver before a step, and the reasons that follow from them in a tick.
 
     record (1,): `struct integrity`.
     """
@@ -41,9 +41,9 @@ class IntegrityMonitor(Addressed):
     ) -> None:
         """tick_ns: period of the loop.
 
-        authenticated: receivers can tell our frames from an intruder's, so ours are still good.
-        intruder_hold_ns: flags are unknown for so long after its last frame; None: until restart.
-        stops: nothing is sent any more once there was one.
+        authenticated: receivers recognise an intruder's frames, so ours are still good.
+        intruder_hold_ns: flags are unknown for so long after the intruder's last frame; None: until
+        restart. stops: nothing is sent any more after an intruder.
         """
         self.record = np.zeros(1, INTEGRITY)
         self.record["overrun_hold_ns"] = OVERRUN_HOLD_NS
@@ -60,16 +60,16 @@ class IntegrityMonitor(Addressed):
         self.pointer = ffi.from_buffer("struct integrity *", self.record)
 
     def note_overrun(self, missed: int) -> None:
-        """So many ticks were skipped before the one that follows."""
+        """Note that so many ticks were skipped before the next one."""
         self.pointer.missed_ticks = missed
 
     def note_lost(self, frames: int) -> None:
-        """So many frames were dropped unread since the last step."""
+        """Note that so many frames were dropped unread since the last step."""
         self.pointer.lost_frames += frames
 
     @property
     def watching(self) -> bool:
-        """Whether frames with our identifiers can only be somebody else's."""
+        """Whether frames with our identifiers can only come from another sender."""
         return bool(self.pointer.watching)
 
     @watching.setter
@@ -78,7 +78,7 @@ class IntegrityMonitor(Addressed):
 
     @property
     def intruder(self) -> bool:
-        """Whether somebody else has sent with our identifiers. Latched."""
+        """Whether another sender has used our identifiers. Latched."""
         return bool(self.pointer.intruder)
 
     @property
@@ -88,15 +88,15 @@ class IntegrityMonitor(Addressed):
 
     @property
     def deadline_misses(self) -> int:
-        """Ticks that were skipped."""
+        """Number of ticks that were skipped."""
         return int(self.pointer.deadline_misses)
 
     @property
     def overrun(self) -> bool:
-        """Whether ticks were missed of late."""
+        """Whether ticks were missed within the last `OVERRUN_HOLD_NS`."""
         return bool(lib.is_overrun(self.pointer))
 
     @property
     def reason(self) -> Reason:
-        """Why no adhesion flag is valid in this tick; NONE if nothing is known against them."""
+        """Why no adhesion flag is valid in this tick; NONE if there is no such reason."""
         return Reason(lib.integrity_reason(self.pointer))

@@ -1,7 +1,7 @@
 """Measured speed and torque compared with the estimates: records. The C sources have the rules.
 
-Where currents come too slowly the load comes from an observer of speed and torque; elsewhere the
-measured speed is a witness, and currents and `Motion` are checked against one another. See
+If currents come too slowly, the load comes from an observer of speed and torque; otherwise the
+measured speed checks the estimate, and currents and `Motion` are checked against one another. See
 `gateway/core/motion.c`, `plausibility.c`, and the records in `gateway/core/records.h`. May know:
 estimators, readings. May not know: frames, clocks, flags.
 """
@@ -24,22 +24,22 @@ from gateway.settings.config import Motor
 from gateway.settings.sections import Estimator
 
 FEWEST_SAMPLES: Final = 10.0
-"""Of current per electrical revolution, about the least that the filters need."""
+"""Current samples per electrical revolution: about the fewest that the filters need."""
 FADE_S: Final = 0.5
 """Time constant with which the difference between two sources fades."""
 SPEED_FLOOR_VAR: Final = 1e-8
 """(rad/s)^2: a DBC may carry speed as a float."""
 SUB_STEP_S: Final = 125e-6
-"""What the configured process noise is stated for."""
+"""Sub-step that the configured process noise is stated for."""
 TURNS: Final = 2.0
-"""Times the least speed that is observable: a rotor that is faster is found."""
+"""Times the least observable speed: above it a filter finds its rotor."""
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 
 class Timebase(NamedTuple):
-    """When readings come.
+    """Spacing and resolution of the readings.
 
     sample_s: spacing of the current samples; period_ns, speed_step: cycle and resolution of
     `Motion` (rad/s at the rotor).
@@ -51,19 +51,19 @@ class Timebase(NamedTuple):
 
 
 class HasRecord(Protocol):
-    """Whoever receives: `receiving.Receiver`."""
+    """Type of the receiver: `receiving.Receiver`."""
 
     record: Records
 
 
 class HasStatus(Protocol):
-    """Whose inputs are valid: `inputs.InputMonitor`."""
+    """Type of the validity of inputs: `inputs.InputMonitor`."""
 
     status: Records
 
 
 class HasEstimates(Protocol):
-    """Whoever estimates: `bank.Bank`."""
+    """Type of the estimator: `estimate.Bank`."""
 
     estimates: Records
     filters: Columns
@@ -74,7 +74,7 @@ class HasEstimates(Protocol):
 class MotionMonitor(Addressed):
     """`motion` and `plausibility` of N drives, (N,), as `motions` and `checks`.
 
-    implausible (N,): drives whose input cannot be what it seems. A copy is a monitor of its own.
+    implausible (N,): drives whose input is implausible. A copy is a monitor of its own.
     """
 
     implausible: Bytes
@@ -95,9 +95,9 @@ class MotionMonitor(Addressed):
         self.motions = _motions(motors, config, times.speed_step)
         self.checks = plausibility.checks(motors, current_step_a)
         self.others: Array = np.full((n, n), np.nan)
-        """Rows of what all drives measured when `Motion` of some last changed, rad/s."""
+        """Rows of all drives' measured speeds, rad/s, when `Motion` of some drive last changed."""
         self.noted, self.taken = np.arange(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
-        """Of every drive: its row of `others`."""
+        """`noted`: row of `others` for each drive; `taken`: workspace."""
         self.record = np.zeros(1, MOTION_MONITOR)
         constants = {
             "max_w_e": 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s),

@@ -1,6 +1,6 @@
 """Implausible currents and `Motion` behind a correct checksum: records. C has the rules.
 
-What is checked, and by which limits, stands in `gateway/core/plausibility.c`. May know: numbers.
+What is checked, and by which limits, is in `gateway/core/plausibility.c`. May know: numbers.
 May not know: frames, clocks, flags.
 """
 
@@ -16,8 +16,8 @@ from gateway.settings.config import Motor
 
 LEAST_STEPS: Final = 10.0
 LEAST_SHARE: Final = 0.01
-"""A current is repeated if it should have moved by more: steps of its resolution, and per unit of
-rated current (noise)."""
+"""An unchanged current is a repeated one if it should have changed by more than both: steps of its
+resolution, and per unit of rated current (noise)."""
 
 
 def checks(motors: Sequence[Motor], step_a: float) -> Records:

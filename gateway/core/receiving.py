@@ -54,7 +54,7 @@ _OF_A_SAMPLE: Final[dict[str, tuple[Any, ...]]] = {
     "sample_drive": (np.int32,), "sample_u": (np.float64, 2), "sample_y": (np.float64, 2),
     "sample_steps": (np.int64,), "sample_gap": (np.int64,), "sample_before": (np.int64,),
 }  # fmt: skip
-"""Columns that `struct receiver` points to, which has their units: type; the second dimension."""
+"""Columns that `struct receiver` points to (their units are there): type, second dimension."""
 
 
 class Receiver(Addressed):
@@ -88,7 +88,7 @@ class Receiver(Addressed):
         return SAMPLES_OF_A_FRAME * self.rows
 
     def reserve(self, rows: int) -> None:
-        """For so many frames of a tick."""
+        """Make room for so many frames per tick."""
         width = self.codec.width
         each = _OF_A_FRAME | {"value": (np.float64, width), "validity": (np.uint8, width)}
         self.space = {
@@ -96,11 +96,11 @@ class Receiver(Addressed):
             **{name: _column(SAMPLES_OF_A_FRAME * rows, *form)
                for name, form in _OF_A_SAMPLE.items()},
         }  # fmt: skip
-        """By the names of `struct receiver`."""
+        """Arrays by their names in `struct receiver`."""
         self.link()
 
     def link(self) -> None:
-        """Addresses in the record, and columns of records."""
+        """Put addresses into the record, and take views of its columns."""
         held = {"channels": self.channels, "drives": self.drives, "ids": self.ids}
         for name, array in (self.space | held).items():
             self.record[name] = array.ctypes.data
@@ -117,7 +117,7 @@ def _column(rows: int, kind: Any, *numbers: int) -> NDArray[Any]:
 
 
 def drive_inputs(drives: int) -> Records:
-    """Of so many drives, of which nothing has been received: (N,) of `struct drive_input`."""
+    """(N,) of `struct drive_input`: drives from which nothing has been received."""
     found = np.zeros(drives, DRIVE_INPUT)
     found["pending"]["t_ns"] = -1
     found["sample_ns"] = found["newest_sample"] = -1
@@ -130,7 +130,7 @@ def drive_inputs(drives: int) -> Records:
 def id_table(
     channels: Mapping[int, int], own: Iterable[int], supervised: Iterable[int]
 ) -> dict[int, int]:
-    """From key to channel; keys that are the gateway's own; those of heartbeats and emergencies."""
+    """Owner by key: index of a channel, `ID_OWN`, or `ID_SUPERVISED` (heartbeat, emergency)."""
     return {
         **dict.fromkeys(supervised, lib.ID_SUPERVISED), **channels,
         **dict.fromkeys(own, lib.ID_OWN),

@@ -1,9 +1,9 @@
 """The state of a gateway between two ticks as bytes: a start record, from which a replay goes on.
 
 It holds every array behind `struct gateway`, those with constants included, in the order in which
-the constructors make them. A gateway of the same configuration and the same layout of records
-takes it back, and its next ticks give the bytes that they would have given. What a tick fills in
-before it reads it is left out.
+the constructors make them. A gateway of the same configuration and the same layout of records can
+be restored from it; its next ticks then send the same bytes as the first gateway's would have.
+Arrays that a tick fills in before it reads them are left out.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Array = NDArray[Any]
 
 
 class State(NamedTuple):
-    """Of a gateway after a tick at `now_ns`: its arrays' bytes, and what Python remembers.
+    """State of a gateway after a tick at `now_ns`: its arrays' bytes, and its Python state.
 
     added: frames that Python has counted; mapped: `Translator.memory`, empty without one.
     """
@@ -45,7 +45,7 @@ class State(NamedTuple):
 
 
 def state_of(gateway: Gateway) -> State:
-    """A copy. Raises ConfigError for a detector that remembers something outside of the core."""
+    """Copy the state. Raises ConfigError for a detector with memory outside of the core."""
     name = gateway.config.adhesion.detector
     if name in WITH_MEMORY and not gateway.adhesion.in_core:
         text = f"a start record cannot hold the state of {name}; take another detector"
@@ -56,7 +56,7 @@ def state_of(gateway: Gateway) -> State:
 
 
 def set_state(gateway: Gateway, state: State) -> None:
-    """Make it the gateway that `state` is of; both have the same configuration."""
+    """Put a gateway into `state`, taken from one of the same configuration."""
     for array, saved in zip(_arrays(gateway), state.arrays, strict=True):
         array[...] = np.frombuffer(saved, array.dtype).reshape(array.shape)
     gateway.inbox.added.clear()
@@ -83,7 +83,7 @@ def start_bytes(gateway: Gateway, state: State) -> bytes:
 def resumed(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
     """The gateway that goes on from a start record; name: of its file, for errors.
 
-    Raises ConfigError for anything that is no start record, is damaged, or belongs to another
+    Raises ConfigError for data that are no start record, are damaged, or belong to another
     configuration or to another version's records.
     """
     magic, checksum, rest = (*data.split(b"\n", 2), b"", b"")[:3]
@@ -112,13 +112,13 @@ def _config(gateway: Gateway) -> str:
 
 
 def _layout(gateway: Gateway) -> str:
-    """Of types and shapes of all arrays; a type's text has the offsets of its fields."""
+    """Hash of types and shapes of all arrays; a type's text has the offsets of its fields."""
     text = "\n".join(f"{array.dtype} {array.shape}" for array in _arrays(gateway))
     return sha256(text.encode()).hexdigest()[:16]
 
 
 def _arrays(gateway: Gateway) -> Iterator[Array]:
-    """Those that own their numbers, each once."""
+    """Arrays that own their numbers, each once."""
     seen: set[int] = set()
     for held in _holders(gateway):
         for value in _values(held):

@@ -1,6 +1,6 @@
 """Heartbeats and emergency messages: which nodes are alive, and which errors they reported.
 
-May know: frames and times. May not know: clocks, sockets, what the flags make of it.
+May know: frames and times. May not know: clocks, sockets, flags.
 Memory is bounded whatever arrives. CiA 301: heartbeat 0x700 + node, one byte of NMT state;
 EMCY 0x080 + node, error code (16 bit little endian), error register, five bytes of the maker.
 """
@@ -29,7 +29,7 @@ _NOT_PLAIN = EXTENDED | REMOTE | ERROR | FD
 
 
 class Life(IntEnum):
-    """What the heartbeat says of a node. One without two heartbeats cannot be lost."""
+    """State of a node by its heartbeat. A node cannot be lost before its second heartbeat."""
 
     NEVER_SEEN = 0
     ALIVE = 1
@@ -93,12 +93,12 @@ class Supervision(Addressed):
     def __init__(self, nodes: Iterable[int], timeout_ns: Nanos, period_ns: Nanos = 0) -> None:
         """Supervise each of `nodes` from its second heartbeat on.
 
-        It is lost after three periods of silence, at least `timeout_ns`. period_ns: of the
-        heartbeats; 0 follows the period that is heard.
+        A node is lost after three periods of silence, at least `timeout_ns`. period_ns: of the
+        heartbeats; 0: the period that is measured.
         """
         self.nodes = tuple(nodes)
         self.heartbeats = np.zeros(len(self.nodes), HEARTBEAT)
-        """Of each node, `struct heartbeat`."""
+        """`struct heartbeat` of each node."""
         self.heartbeats["last_ns"] = self.heartbeats["since_ns"] = NEVER
         self.heartbeats["state"] = -1
         self.record = np.zeros(1, SUPERVISION)
@@ -110,12 +110,12 @@ class Supervision(Addressed):
         self._heartbeat_of = {HEARTBEAT_BASE + n: n for n in self.nodes}
         self._emcy_of = {EMCY_BASE + n: n for n in self.nodes}
         self.ids = (*self._heartbeat_of, *self._emcy_of)
-        """Identifiers of what it looks at."""
+        """Identifiers of the frames that it reads."""
         self.emcy = {n: EmcyLog() for n in self.nodes}
         self._malformed = 0
 
     def link(self) -> None:
-        """Addresses: of the heartbeats in the record, of the record for compiled loops."""
+        """Put the heartbeats' address into the record, and take the record's for the core."""
         self.record["nodes"] = self.heartbeats.ctypes.data
         self.address = self.record.ctypes.data
         self.pointer = ffi.from_buffer("struct supervision *", self.record)
@@ -128,7 +128,7 @@ class Supervision(Addressed):
     def observe(self, frame: Frame) -> bool:
         """Take in a frame; True if it was a heartbeat, node guarding or emergency of our nodes.
 
-        A malformed one is counted and is no sign of life.
+        A malformed frame is counted and is no sign of life.
         """
         node = self._heartbeat_of.get(frame.can_id)
         data, plain = frame.data, not frame.flags & _NOT_PLAIN
@@ -156,14 +156,14 @@ class Supervision(Addressed):
         return bool(lib.is_node_lost(self.pointer, row, now_ns))
 
     def life(self, node: int, now_ns: Nanos) -> Life:
-        """Verdict on one node."""
+        """State of life of one node."""
         row = self._row.get(node)
         if row is None or int(self.heartbeats["last_ns"][row]) == NEVER:
             return Life.NEVER_SEEN
         return Life.LOST if self._is_lost(row, now_ns) else Life.ALIVE
 
     def states(self, now_ns: Nanos) -> dict[int, NodeState]:
-        """Verdict, NMT state and age per node."""
+        """State of life, NMT state and age per node."""
         out = {}
         for k, node in enumerate(self.nodes):
             last = int(self.heartbeats["last_ns"][k])

@@ -1,9 +1,8 @@
 """Validity of temperature sensors: lost, stuck or biased, alone or all of a drive.
 
-The rules are in `gateway/core/temperature.c`; here are each sensor's limits, and one reading at a
-time.
+The rules are in `gateway/core/temperature.c`; this module has each sensor's limits.
 
-May know: readings and what the calibration says of each sensor. May not know: what the motors'
+May know: readings and the calibration of each sensor. May not know: what the motors'
 temperatures mean. A point that is not configured takes part in nothing and is never lost.
 """
 
@@ -24,14 +23,16 @@ HOLD_MARGIN: Final = 4.0
 """A sensor is stuck when it holds a value this many times longer than ever in health."""
 SHORTEST_HOLD_NS: Final = 10 * SECOND
 LONGEST_HOLD_NS: Final = 1 << 62
-"""What there is room for."""
+"""Longest time that fits."""
 UNCALIBRATED_HOLD_NS: Final = 240 * SECOND
-"""Real sensors hold a value for up to a minute (house data); four times that, unmeasured."""
+"""Real sensors hold a value for up to a minute (house data); four times that if uncalibrated."""
 QUIET_K: Final = 0.25
-"""A sensor that never moved by more than two steps of the wire has no noise to tell a dead one by.
+"""A sensor that never moved by more than two steps of its resolution has too little noise to show
+that it is alive.
 
-Between two steps it holds for as long as the motor keeps its temperature: real ones, seconds in
-one minute and two minutes in the next. What it held in health is no limit then.
+Between two steps it holds its value for as long as the motor keeps its temperature: real sensors,
+for seconds in one minute and for two minutes in the next. Its longest hold in health alone is then
+no limit.
 """
 STEP_MARGIN: Final = 3.0
 SMALLEST_STEP_K: Final = 2.0
@@ -47,9 +48,9 @@ class SensorMonitor:
         cells: Sequence[MotorCalibration | None] | None = None,
         sensors: Sequence[Sequence[str]] | None = None,
     ) -> None:
-        """period_ns: the readings' cycle; cells, sensors: per drive, None: nothing learnt, all.
+        """period_ns: the readings' cycle; cells: per drive, None: nothing learnt.
 
-        sensors: names of `POINTS`.
+        sensors: per drive the names of its sensors in `POINTS`, None: all.
         """
         self.cells = [None] * drives if cells is None else list(cells)
         fitted = [POINTS] * drives if sensors is None else sensors
@@ -69,12 +70,12 @@ class SensorMonitor:
             lib.temperature_reset(ffi.addressof(drive))
 
     def step_limit(self, drive: int, k: int) -> float:
-        """A change beyond this, K, that stays is an offset."""
+        """A lasting change by more than this, K, is an offset."""
         cell = self.cells[drive]
         return max(SMALLEST_STEP_K, STEP_MARGIN * cell.largest_step_k[k] if cell else 0.0)
 
     def stuck_after_ns(self, drive: int, k: int) -> Nanos:
-        """A value held for longer than this is a stuck sensor's."""
+        """A sensor that holds a value for longer than this is stuck."""
         cell = self.cells[drive]
         if cell is None:
             return UNCALIBRATED_HOLD_NS

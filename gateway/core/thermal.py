@@ -1,7 +1,7 @@
 """The motors' temperatures: their records, and the thermal status of one motor.
 
 The rules are in `gateway/core/thermal.c` (readings, seconds, window averages), `thermal_evidence.c`
-(what they give evidence of), `temperature.c` (validity of sensors) and `estimators/thermal`.
+(evidence from them), `temperature.c` (validity of sensors) and `estimators/thermal`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 AMBIENT: Final = len(POINTS)
 """Index of the ambient temperature in a reading."""
 SAMPLE_NS: Final = SECOND
-"""Readings that come faster are averaged."""
+"""Readings that come faster are averaged over this time."""
 NO_MODEL: Final = (
     "no thermal model of every configured motor: calibrate with logs that have Status and Motion "
     'and a changing duty, or set [thermal] method = "maisd"'
@@ -45,7 +45,7 @@ NO_MODEL: Final = (
 class Window(NamedTuple):
     """(N, P) of `struct temperature_window`: last values and window averages, degC; deviation K.
 
-    valid: the last value is so now; known: the average is, too; uniform: workspace.
+    valid: the last value is valid now; known: the average is; uniform: workspace.
     """
 
     gain: Array
@@ -75,7 +75,7 @@ class TemperatureMonitor(Addressed):
         model: bool = False,
         limit_k: float = 10.0,
     ) -> None:
-        """period_ns: the temperatures' cycle; the window is `window_s` of it.
+        """period_ns: the temperatures' cycle; the window is `window_s` long.
 
         sensors: names of the points each drive has; None: all have all. model: judge by the thermal
         model; limit_k: K that a motor may grow warmer than the others. Raises ConfigError where
@@ -87,7 +87,7 @@ class TemperatureMonitor(Addressed):
         self.sensors = SensorMonitor(motors, period_ns, cells, sensors)
         every = max(round(SAMPLE_NS / period_ns), 1)
         self.dt_s = every * period_ns / SECOND
-        """From one second to the next."""
+        """Time from one averaged reading to the next, s."""
         self.model: ThermalMonitor | None = None
         method = lib.THERMAL_UNCALIBRATED if calibration is None else lib.THERMAL_MAISD
         if model and calibration is not None:
@@ -97,7 +97,7 @@ class TemperatureMonitor(Addressed):
             self.model = ThermalMonitor(known, self.dt_s)
             method = lib.THERMAL_MODEL
         self.motors = np.zeros(motors, MOTOR_TEMPERATURES)
-        """(N,)."""
+        """(N,) of `struct motor_temperatures`."""
         self.motors["status"] = self.motors["motion"] = NONE
         self.record = np.zeros(1, TEMPERATURE_MONITOR)
         self.record["period_ns"], self.record["cycles_per_second"] = period_ns, every
@@ -130,13 +130,13 @@ class TemperatureMonitor(Addressed):
         self.pointer = ffi.from_buffer("struct temperature_monitor *", self.record)
 
     def wire(self, places: Places, limit_ns: Sequence[Nanos]) -> None:
-        """Which channels carry what the model needs, and how old each drive's readings may be."""
+        """Note the channels of the model's inputs, and the age limit of each drive's readings."""
         self.motors["status"], self.motors["motion"] = places.status, places.motion
         self.motors["age_limit_ns"] = limit_ns
 
     @property
     def learning(self) -> bool:
-        """Whether seconds are averaged although there is no model: one is to be learnt."""
+        """Whether seconds are averaged without a model, so that one can be learnt."""
         return self.model is None and bool(self.record["sum_seconds"][0])
 
     @learning.setter
@@ -169,7 +169,7 @@ class TemperatureMonitor(Addressed):
 
 
 def _window(motors: int, calibration: Calibration | None, nodes: tuple[int, ...]) -> Window:
-    """An empty one, and how a calibration centres what it holds."""
+    """Empty window, with the gains and offsets by which a calibration centres its values."""
     shape = (motors, len(POINTS))
     gain, offset = np.ones(shape), np.zeros(shape)
     if calibration is not None:

@@ -1,6 +1,6 @@
 """The gateway's own frames: their messages as `gateway/core/transmit.c` sends them.
 
-May know: the message set and `now`. Every value that is not known goes out as its
+May know: the message set and `now`. Every value that is not known is sent as its
 not-available code or as `Unknown`; nothing is ever repeated from an earlier tick.
 """
 
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from dbc.secoc_sender import Authenticator
 
 VOUCHED: Final = ("Gateway_Adhesion", "Gateway_Faults")
-"""What `Gateway_Auth` follows, where flags are authenticated."""
+"""Messages that `Gateway_Auth` follows if flags are authenticated."""
 _SENT: Final = Struct(
     f"=qi{MAX_DATA_BYTES}s{TX_FRAME.itemsize - calcsize(f'=qi{MAX_DATA_BYTES}s')}x"
 )
 """A `tx_frame`: stamp, message, data."""
 _frame: Final = partial(tuple.__new__, Frame)
 CHANGING: Final = "Gateway_Faults"
-"""Goes out in the tick of a change, too."""
+"""Message that is also sent in the tick of a change."""
 
 
 class Outbox(Addressed):
@@ -59,7 +59,7 @@ class Outbox(Addressed):
     ) -> None:
         """The set of messages is fixed here; nothing else can ever be sent.
 
-        creep: with `Drive{n}_Adhesion`. Raises ConfigError where the DBC does not have them.
+        creep: with `Drive{n}_Adhesion`. Raises ConfigError if the DBC lacks any message.
         """
         self.config_hash = config_hash
         self.codec = codec
@@ -87,14 +87,14 @@ class Outbox(Addressed):
         self.messages["on_change"] = [spec.name == CHANGING for spec in specs]
         self.record = np.zeros(1, TRANSMITTER)
         self.record["message_count"], self.record["drive_count"] = len(specs), len(nodes)
-        # A real tick wakes a little later than the one that the grid counts from, or a little
-        # less late: what is due within half a tick is due now.
+        # A real tick starts a little later or earlier than the grid that counts from the first
+        # tick: what is due within half a tick is due now.
         self.record["tick_ns"], self.record["slack_ns"] = tick_ns, tick_ns // 2
         self._thermal_sent = np.zeros(len(nodes), dtype=np.uint8)
         self._value = np.zeros(self.tables.width)
         self._given = np.zeros(self.tables.width, dtype=np.uint8)
         self.frames = np.zeros(len(specs), TX_FRAME)
-        """Room for those of a tick."""
+        """Room for the frames of a tick."""
         self.heads = [
             (spec.can_id, spec.length, (FD | (BRS if spec.brs else 0)) if spec.is_fd else 0)
             for spec in specs
@@ -125,17 +125,17 @@ class Outbox(Addressed):
         self._frames = ffi.from_buffer("struct tx_frame[]", self.frames)
 
     def restart(self, now: Nanos) -> None:
-        """Everything is due now; the cycles count from here."""
+        """Make every message due now; the cycles count from here."""
         self._begun = True
         lib.transmit_restart(self.pointer, now)
 
     def begin(self, now: Nanos) -> None:
-        """At the first tick the cycles begin."""
+        """Begin the cycles at the first tick."""
         if not self._begun:
             self.restart(now)
 
     def note_counts(self, counted: Counted) -> None:
-        """What `Gateway_Info` and `Gateway_Status` say from now on."""
+        """Set the numbers that `Gateway_Info` and `Gateway_Status` contain from now on."""
         counts = self.pointer.counts
         counts.deadline_misses = counted.deadline_misses
         counts.rejected, counts.lost = counted.rejected, counted.lost
@@ -156,7 +156,7 @@ class Outbox(Addressed):
         return _known(counts.latency_p99_us), _known(counts.lateness_p99_us)
 
     def note_rejected(self, frames: int) -> None:
-        """So many were rejected before they came to the receiver."""
+        """Set how many frames were rejected before they came to the receiver."""
         self.pointer.counts.rejected_before = frames
 
     def due(self, status: Status, now: Nanos) -> list[Frame]:
@@ -169,7 +169,7 @@ class Outbox(Addressed):
         return self.frames_of(self.frames[:count])
 
     def frames_of(self, sent: Records) -> list[Frame]:
-        """From `tx_frame` (K,); behind each flag frame its `Auth`."""
+        """Frames from `tx_frame` (K,); after each flag frame its `Auth`."""
         frames = []
         for t_ns, message, data in _SENT.iter_unpack(sent.tobytes()):
             can_id, length, flags = self.heads[message]
@@ -177,7 +177,7 @@ class Outbox(Addressed):
         return frames if self.authenticator is None else self._vouch(self.authenticator, frames)
 
     def block_of(self, sent: Records) -> Block:
-        """The same without any `Auth`."""
+        """The same as a block, without any `Auth`."""
         out, message, heads = blank(len(sent), self._heads.names), sent["message"], self._heads
         out.t_ns[:] = sent["t_ns"]
         out.can_id[:], out.flags[:] = heads.can_id[message], heads.flags[message]
@@ -208,7 +208,7 @@ def _number(x: float | None) -> float:
 
 
 def _sources(spec: MessageSpec, nodes: Sequence[int]) -> Iterator[tuple[str, int, int]]:
-    """Of every signal that carries something: its name, where that comes from, of which drive."""
+    """Of every signal with a value: its name, the value's source, the index of the drive."""
     if not spec.name.startswith("Gateway_"):
         for name, source in OF_A_DRIVE[spec.kind].items():
             yield name, source, nodes.index(spec.node)

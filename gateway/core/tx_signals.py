@@ -1,7 +1,7 @@
 """Which signal of the gateway's own messages carries which value (`enum tx_source`).
 
-A new one: a line here, one in `gateway/core/transmit.c`. May know: names of the message set. May
-not know: bits, clocks.
+A new signal needs a line here and one in `gateway/core/transmit.c`. May know: names of the message
+set. May not know: bits, clocks.
 """
 
 from __future__ import annotations
@@ -75,4 +75,4 @@ OF_THE_SET: Final = {
         {},
     ),
 }
-"""Signals of the whole set, and those that there are for every drive, its number behind."""
+"""Signals of the whole set, and prefixes of those for every drive, followed by its number."""

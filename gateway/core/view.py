@@ -1,6 +1,6 @@
 """The result of one tick as objects, for reports, displays and tests. The loop uses `Status`.
 
-Made when somebody asks, which a replay without a report does once a change.
+They are made on demand: a replay without a report asks for them once per change.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ _REASONS: Final = tuple(Reason)
 _HEALTH: Final = tuple(Health)
 _CLASSES: Final = tuple(FaultClass)
 _SENSORS: Final = tuple(FaultSensor)
-"""By number: the enumerations' own look-up takes longer."""
+"""Members by number, because the enumerations' own look-up takes longer."""
 
 
 class Wear(NamedTuple):
     """How a motor grows warmer than the others.
 
-    rate_k_h, sigma_k_h: None before enough was seen; hours: until it is at its limit, None if it
-    need not come; jumps: steps of its sensors.
+    rate_k_h, sigma_k_h: None while data are too few; hours: until the motor is at its limit, None
+    if it may never be; jumps: steps of its sensors.
     """
 
     rate_k_h: float | None = None
@@ -34,7 +34,7 @@ class Wear(NamedTuple):
 
 
 class DriveView(NamedTuple):
-    """What the gateway knows of one drive at a tick. None means not known."""
+    """State of one drive at a tick. None means not known."""
 
     node: int
     adhesion: Flag = Flag.UNKNOWN
@@ -60,7 +60,7 @@ class DriveView(NamedTuple):
 
 
 class GatewayView(NamedTuple):
-    """Everything one tick says: the drives, the set's own state, the counters."""
+    """Result of one tick: the drives, the set's own state, the counters."""
 
     t_ns: Nanos
     drives: tuple[DriveView, ...]
@@ -83,7 +83,7 @@ class GatewayView(NamedTuple):
 
 
 class Counted(NamedTuple):
-    """What `Gateway_Status` and `Gateway_Info` say beside the state. None: not known."""
+    """Content of `Gateway_Status` and `Gateway_Info` beside the state. None: not known."""
 
     deadline_misses: int
     rejected: int
@@ -94,7 +94,7 @@ class Counted(NamedTuple):
 
 
 def drives_of(status: Status, nodes: Sequence[int], wear: Sequence[Wear]) -> tuple[DriveView, ...]:
-    """Of every drive. wear: what is known of its degradation."""
+    """View of every drive. wear: what is known of its degradation."""
     drives = status.drives
     rows = zip(
         nodes, drives["flag"]["state"].tolist(), drives[_WORDS].tolist(),
@@ -136,7 +136,7 @@ def view_of(
     common_load_nm: float | None,
     counted: Counted,
 ) -> GatewayView:
-    """Of the whole set."""
+    """View of the whole set."""
     train = status.train[0]
     sensor, comm, estimator, overrun, common = (
         _FLAGS[train[name]] for name in ("sensor", "comm", "estimator", "overrun", "common_mode")

@@ -50,7 +50,7 @@ _SHARES: Final = np.linspace(0.0, 1.0, 65)
 
 
 def rail(condition: str | float) -> Rail:
-    """The named condition, or the dry curve's shape with `mu_0` = the number given.
+    """The named condition; for a number the dry curve's shape (wet up to 0.3) with this `mu_0`.
 
     Raises ValueError for an unknown name or a friction outside (0, 1].
     """

@@ -47,21 +47,21 @@ COMMAND: Final[int] = lib.OUT_COMMAND
 DT: Final = 125e-6
 """Control period, s: voltages are constant over it."""
 CREEP_LIMIT: Final = 0.05
-"""What a fast slip limiter allows; a wheel beyond it and beyond the curve's peak slides."""
+"""Creep that a fast slip limiter allows; a wheel beyond it and beyond the curve's peak slides."""
 CUT_PER_S: Final = 7.0
 RESTORE_PER_S: Final = 0.7
 """How fast a drive's torque limiter falls, within 100 ms, and returns, over 1 s."""
 RAIL_STEPS: Final = 4
 """Runge-Kutta steps per period on the rail: the contact's time constant goes down to 15 us."""
 CUT_LEVEL: Final = 0.3
-"""What a drive's torque limiter falls to while the gateway says `AdhesionLost`."""
+"""Level that a drive's torque limiter falls to while the gateway sends `AdhesionLost`."""
 
 
 class SlipLimiter(NamedTuple):
     """A drive's own slip control: a PI control of the wheel's speed that limits the torque.
 
-    `creep`: what it allows, infinite for a drive that has none. `bandwidth` rad/s: torque taken
-    away is bandwidth x J x the speed beyond that; `rate` 1/s of the integrator.
+    `creep`: allowed creep, infinite for a drive without slip control. `bandwidth` rad/s: the torque
+    is reduced by bandwidth x J x the speed beyond that creep; `rate` 1/s of the integrator.
     """
 
     creep: float
@@ -75,7 +75,7 @@ SLIP_LIMITERS: Final[dict[str, SlipLimiter]] = {
     "none": SlipLimiter(math.inf, 0.0, 0.0),
 }
 """By the name in the scenario. "fast" holds the wheel within some milliseconds. "slow" is an older
-drive that compares axle speeds, filtered and seldom: natural frequency sqrt(8 x 8) = 8 rad/s,
+drive that compares filtered axle speeds at long intervals: natural frequency sqrt(8 x 8) = 8 rad/s,
 damping 0.5, so the wheel's excess over 15 % creep peaks after 0.15 s and is gone after 0.5 s, and
 the torque, too, takes about a second to come back. "none": the wheel runs up until the voltage of
 the dc link leaves the motor no torque beyond what the sliding wheel meets."""
@@ -105,7 +105,7 @@ LARGE: Final = Motor(
     R_s=0.12, L_s=2.0e-3, psi_pm=0.40, pole_pairs=4, J=0.12, I_rated=50.0, T_rated=120.0,
     U_dc=560.0,
 )  # fmt: skip
-"""A larger drive, for tests that numbers are nowhere tied to the bench motor."""
+"""A larger drive, for tests that no number is tied to the bench motor."""
 TRACTION_350KW: Final = Motor(
     R_s=0.08, L_s=3.02e-3, psi_pm=1.104, pole_pairs=2, J=11.0, I_rated=240.4, T_rated=796.0,
     U_dc=2600.0,
@@ -139,7 +139,7 @@ class Train:
     mass_kg: float = 48.0
     gravity: float = 9.81
     weight_kg: float | None = None
-    """What presses on the driven wheels; without it, all the mass."""
+    """Mass that loads the driven wheels; None: all of it."""
 
     def wheel_load_nm(self, motor: Motor) -> float:
         """Wheel load times radius, Nm: the torque at traction coefficient 1."""
@@ -155,7 +155,7 @@ TRAIN: Final = Train()
 TRAINS: Final[dict[str, Train]] = {
     "traction_350kw": Train(wheel_radius_m=0.43 / 3.036, mass_kg=942.0, weight_kg=67.8),
 }
-"""Trains of single motors, else `TRAIN`. A motor of 796 Nm: wheels of 0.86 m, gear 3.036 (62 m/s
+"""Trains by motor; others have `TRAIN`. A motor of 796 Nm: wheels of 0.86 m, gear 3.036 (62 m/s
 at 140 Hz), 25 t of train per motor, 46 times the inertia that turns (bench: 48). The wheel load
 is lighter than an axle's 14 t, so that rated torque uses a traction coefficient of 0.32 as on the
 bench and the rail conditions mean the same for both; at speed the creep curves fall: at 60 m/s
@@ -163,7 +163,7 @@ dry rail carries 770 Nm, wet 430 Nm."""
 
 
 def parameters(motor: Motor, drives: int) -> Columns:
-    """(N,) `struct sim_motor`: all drives as the data sheet says.
+    """(N,) `struct sim_motor`: all drives as in the data sheet.
 
     Their slip limiters are fast, their friction brakes released.
     """
@@ -178,7 +178,7 @@ def parameters(motor: Motor, drives: int) -> Columns:
 
 
 def set_slip_limiter(p: Columns, limiter: SlipLimiter) -> None:
-    """All drives get this one."""
+    """Give this slip limiter to all drives."""
     p.creep_max, p.slip_bandwidth, p.slip_rate = limiter
 
 
@@ -196,7 +196,7 @@ class Plant:
         train: Train = TRAIN,
         p: Columns | None = None,
     ) -> None:
-        """Rolling at `w_0` rad/s (rotor) with angles `theta_0` (N,), the load `load_0` Nm met.
+        """Start rolling at `w_0` rad/s (rotor), angles `theta_0` (N,), torque for load `load_0` Nm.
 
         `p` (N,): the drives' own parameters, default all as `motor` (see `parameters`).
         """
@@ -239,7 +239,7 @@ class Plant:
         self, w_ref: Array, w_acc: Array, load: Array, carry: Array, cut: NDArray[np.bool_],
         rails: Array,
     ) -> Array:  # fmt: skip
-        """Advance n periods; gives (n, N, 10), columns OUT, at the end of each.
+        """Advance n periods; returns (n, N, 10), columns OUT, at the end of each.
 
         `w_ref` (n,) rotor speed wanted rad/s, `w_acc` (n,) its slope rad/s2, `load` (n,) healthy
         load per drive Nm (rail: running resistance), `carry` (n, N) share of what is asked of the
@@ -261,22 +261,22 @@ class Plant:
         return out
 
     def set_share(self, share: Array) -> None:
-        """What part of the train's demand falls to each drive from now on, (N,)."""
+        """Set the share of the train's demand that falls to each drive from now on, (N,)."""
         self.p.share = share
 
     def set_open(self, phase_a: NDArray[np.bool_]) -> None:
-        """Which drives have phase a open from now on, (N,)."""
+        """Set which drives have phase a open from now on, (N,)."""
         self.p.phase_a_open = phase_a
 
     def set_brake(self, torque: Array) -> None:
-        """Torque of the friction brakes from now on, Nm at the motor shaft, (N,), 0 = released."""
+        """Set the friction brakes' torque from now on, Nm at the motor shaft, (N,), 0: released."""
         self.p.brake_nm = torque
 
     def slips(self, drive: int, condition: Rail) -> bool:
         """True when this rail cannot carry what is asked of this drive's wheel.
 
-        Either that is more than the curve gives within the drive's slip limit (without a limit: at
-        its peak), or the wheel slides beyond the curve's peak. Never so under a preset load.
+        Either the curve gives less within the drive's slip limit (without a limit: at its peak), or
+        the wheel slides by more than 5 % and beyond that peak. Always False under a preset load.
         """
         if not self.on_rail:
             return False
@@ -295,9 +295,9 @@ class Plant:
         return slip / max(abs(v), SPEED_FLOOR_M_S), v
 
     def shortage(self, drive: int, condition: Rail, load: float) -> float:
-        """Share of what is asked that a drive which `slips` does not get onto the rail.
+        """Share 0..1 of the torque asked that a drive which `slips` does not bring onto the rail.
 
-        Of what the rail can carry, or of `load` Nm that it carries now, what is less; 0..1.
+        The rail carries the smaller of what it can carry and of `load` Nm, the load now.
         """
         asked = abs(self._asked(drive))
         if asked <= 0.0:
@@ -315,7 +315,7 @@ class Plant:
     def _asked(self, drive: int) -> float:
         """The train's demand and, while the train moves, the friction brake's torque, Nm.
 
-        A brake on a train that stands holds: it asks nothing of the rail. A train stands when a
+        At standstill a brake only holds and asks nothing of the rail. A train stands when a
         locked wheel's creep is within 5 %: below 25 mm/s.
         """
         asked = self.demand_nm * float(self.p.share[drive])
@@ -349,7 +349,7 @@ class QuasiStatic:
         self.demand_nm = load_0
 
     def advance(self, w_m: float, load: float, carry: Array, cut: NDArray[np.bool_]) -> Array:
-        """Advance by 10 ms; `carry`, `cut` (N,); gives (N, 10) columns OUT at the end."""
+        """Advance by 10 ms; `carry`, `cut` (N,); returns (N, 10) columns OUT at the end."""
         m = self.motor
         dt = self.STEP_NS * 1e-9
         down = np.maximum(self.limit - CUT_PER_S * dt, CUT_LEVEL)

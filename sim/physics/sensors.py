@@ -1,4 +1,4 @@
-"""What the drives' sensors make of the truth: noise, offset, gain, range; bias, stuck, lost.
+"""Errors of the drives' sensors: noise, offset, gain, range; bias, stuck, lost.
 
 May know: numbers. May not know: bits (quantisation is the codec's), buses, clocks.
 """

@@ -61,7 +61,7 @@ class ThermalTrain:
     def __init__(self, motor: Motor, drives: int, ambient_c: float, train_seed: int) -> None:
         """All nodes at ambient.
 
-        The motors are unlike: air flow 3 %, friction 8 %, local air 0.5 K (one sigma), drawn from
+        The motors differ: air flow 3 %, friction 8 %, local air 0.5 K (one sigma), drawn from
         `train_seed` and the drive's number, so that the same train runs in every scenario.
         """
         self.motor = motor
@@ -85,7 +85,7 @@ class ThermalTrain:
         self._state = np.repeat(self._air[:, None], NODES, axis=1)
 
     def set_ambient(self, ambient_c: float) -> None:
-        """The air around the train changes, as in a tunnel."""
+        """Change the temperature of the air around the train, as in a tunnel."""
         self.ambient = ambient_c
         self.local_air = ambient_c + self._beside
         self._air = np.tile(self.local_air, 2)

@@ -1,8 +1,8 @@
 """Rivals of the thermal method: paper `thermal`, Table 2 (DPCA, DSFA, LSTM, JITL, EKF).
 
-Every one learns from one fault-free run and gives one statistic per sample; whoever compares them
-sets the alarm limit, by the same rule for all. None of them knows of motors being alike unless
-its own docstring says so.
+Each one learns from one fault-free run and gives one statistic per sample; the comparison sets the
+alarm limit, by the same rule for all. A rival exploits that the motors are alike only if its
+own docstring states it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from estimators.thermal.rivals.lstm import Lstm
 
 
 class Method(Protocol):
-    """A way to detect thermal faults that is taught with healthy data alone."""
+    """A method to detect thermal faults that learns from healthy data alone."""
 
     @property
     def name(self) -> str:
@@ -26,7 +26,7 @@ class Method(Protocol):
         ...
 
     def fit(self, healthy: Record) -> Scorer:
-        """Learn from one fault-free run. ValueError if it is too short to learn from."""
+        """Learn from one fault-free run. Raises ValueError if the run is too short."""
         ...
 
 
@@ -44,5 +44,5 @@ RIVALS: Final[dict[str, dict[str, Method]]] = {
         Jitl(ridge=100.0, window=0.002), EkfResidual(), FOLLOWING,
     ),
 }  # fmt: skip
-"""By time base, tuned on development trains as `bench.thermal_rivals` does it; the LSTM as its
-docstring says, `FOLLOWING` as described."""
+"""By time base, tuned on development trains as in `bench.thermal_rivals`; the LSTM is tuned as its
+docstring states, `FOLLOWING` is as usually described."""

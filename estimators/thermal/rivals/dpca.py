@@ -3,7 +3,7 @@
 A row is the variables of the sample and of `lags` before it. T^2 is the distance within the
 components kept, SPE the distance from them; an alarm by either counts.
 
-With the view "others" it knows that the motors are alike.
+With the view "others" it exploits that the motors are alike.
 Tried on seeds 0, 2 .. 8: four views, 0 to 2 lags, 70 to 99 % of variance, means of 0 to 10 % of a
 run; differences to the other motors won by far (mean AUC 0.56 -> 0.88 at 1 Hz), the rest little.
 """
@@ -24,13 +24,13 @@ Scorer = Callable[[Record], Array]
 
 @dataclass(frozen=True)
 class Either:
-    """A scorer of two statistics; the larger one counts. each: (K, 2) over the fit's limits."""
+    """Scorer by the larger of two statistics. each: both (K, 2), relative to the fit's limits."""
 
     names: tuple[str, str]
     each: Scorer
 
     def __call__(self, record: Record) -> Array:
-        """(K,)."""
+        """The larger statistic (K,)."""
         larger: Array = self.each(record).max(axis=1)
         return larger
 
@@ -50,7 +50,7 @@ class Dpca:
     name: str = "dpca"
 
     def fit(self, healthy: Record) -> Scorer:
-        """Learn from one fault-free run. ValueError if it is no longer than the lags."""
+        """Learn from one fault-free run. Raises ValueError if it is too short for the lags."""
         from sklearn.decomposition import PCA
 
         view = View.of(healthy, self.view)
@@ -89,7 +89,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, healthy: Record, kind: str) -> View:
-        """From a fault-free run. ValueError if the kind is unknown or there are no samples."""
+        """Fit to a fault-free run. Raises ValueError for an unknown kind, or without samples."""
         if kind not in KINDS:
             raise ValueError(f"no view {kind!r}; there are {', '.join(KINDS)}")
         if not len(healthy.at):
@@ -110,7 +110,7 @@ class View(NamedTuple):
         self, names: tuple[str, str], statistics: Callable[[Array], Array], healthy: Array,
         window: int, lags: int,
     ) -> Either:  # fmt: skip
-        """By two statistics (K, 2) of rows, over their limits on the rows `healthy` of the fit."""
+        """Scorer by two statistics (K, 2) of rows, relative to their limits on rows `healthy`."""
         limits = quantiles(statistics(healthy))
 
         def each(record: Record) -> Array:
@@ -140,7 +140,7 @@ def _raw(record: Record, kind: str, start: Array) -> Array:
 
 
 def usual(temperature: Array) -> Array:
-    """(M, 3) means of the readings there are; of a channel without any, the mean of all, or 0."""
+    """(M, 3) mean of each channel's readings; without readings, the mean of all channels, or 0."""
     known = np.isfinite(temperature)
     count = known.sum(axis=0)
     total = np.where(known, temperature, 0.0).sum(axis=0)
@@ -171,7 +171,7 @@ def span(record: Record, share: float) -> int:
 
 
 def moving(values: Array, window: int) -> Array:
-    """(K, ...) means of the last `window` values (of those there are, at the start)."""
+    """(K, ...) means of the last `window` values (of fewer at the start)."""
     total = np.cumsum(values, axis=0)
     total[window:] = total[window:] - total[:-window]
     count = np.minimum(np.arange(1, len(values) + 1), window)
@@ -185,6 +185,6 @@ def lagged(values: Array, lags: int) -> Array:
 
 
 def quantiles(statistics: Array) -> Array:
-    """(S,) 99 % of each column, never 0."""
+    """(S,) 99 % quantile of each column, never 0."""
     limits: Array = np.maximum(np.quantile(statistics, 0.99, axis=0), TINY)
     return limits

@@ -1,10 +1,10 @@
 """Deep slow feature analysis: paper `thermal`, Table 2.
 
-Slow feature analysis (Wiskott, Sejnowski 2002) twice, a quadratic expansion between the layers;
-monitored as by Shang et al. 2015: S^2 is the power in the slow features, S_e^2 in the fast rest.
-As the rest, the features of the first layer that did not go up are counted too.
+Two layers of slow feature analysis (Wiskott, Sejnowski 2002), with a quadratic expansion between
+them. Monitored as by Shang et al. 2015: S^2 is the power in the slow features, S_e^2 in the fast
+rest. The first layer's features that do not go on to the second layer count as rest, too.
 
-With the view "between" it knows that the motors are alike.
+With the view "between" it exploits that the motors are alike.
 Tried on seeds 0, 2 .. 8: two views, 0 or 1 lags, width 3 to 17, slow 0.3 or 0.5, clipping before
 the expansion, means of 0 to 5 %; width 14 won (mean F at 1 Hz 0.70, of width 3 0.27: false alarms).
 """
@@ -25,7 +25,7 @@ class Dsfa:
     """Tuning of deep slow feature analysis.
 
     lags: samples before the present one in a row; width: features of the first layer that go
-    up; slow: share of the second layer's features that count as slow; window: share of the run's
+    on; slow: share of the second layer's features that count as slow; window: share of the run's
     samples over which the rows are averaged; view: see `View`.
     """
 
@@ -37,7 +37,7 @@ class Dsfa:
     name: str = "dsfa"
 
     def fit(self, healthy: Record) -> Scorer:
-        """Learn from one fault-free run. ValueError if it is no longer than the lags."""
+        """Learn from one fault-free run. Raises ValueError if it is too short for the lags."""
         view = View.of(healthy, self.view)
         window = span(healthy, self.window)
         rows = view.rows(healthy, window, self.lags)[self.lags :]
@@ -68,7 +68,7 @@ class Slow(NamedTuple):
 
     @classmethod
     def fit(cls, rows: Array, least: float = 1e-4) -> Slow:
-        """From (K, V), K > 1. Directions below `least` of the largest variance are left out."""
+        """Fit to (K, V), K > 1. Directions below `least` of the largest variance are left out."""
         from scipy.linalg import eigh
 
         centre = rows.mean(axis=0)

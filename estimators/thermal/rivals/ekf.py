@@ -1,16 +1,16 @@
 """Residual of an extended Kalman filter: paper `thermal`, Table 2 and, as its model, eq. (1).
 
-Of every point, with heat gain c and heat loss xi that walk slowly (ageing),
+For every point, with heat gain c and heat loss xi that walk slowly (ageing),
 
     dT/dt = c (I^2 + g w^2) - xi (T - T_out)        reading = T + b + noise
 
 c, xi, g and the offset b are fitted to the fault-free run; the filter starts from them.
-Eq. (1) is used as corrected, the loss taken from the heat and both times dt; added is g for the
-losses of iron and bearings: without it the bearings' residual is 2.5 K, not 1.1 K (100 days). A
-missing reading is no innovation and changes no state.
+Eq. (1) is corrected: the loss is subtracted from the heat, and both are multiplied by dt. The term
+g is added for the losses of iron and bearings: without it the bearings' residual is 2.5 K, not
+1.1 K (100 days). A missing reading gives no innovation and changes no state.
 
-`FOLLOWING` has coefficients that walk as fast as a filter of this kind is usually given: it follows
-the fault, as it is described, and misses nearly all of it.
+`FOLLOWING` is the filter as it is usually described, with coefficients that walk fast: it follows
+the fault and misses nearly all of it.
 
 Tried on seeds 0, 3, 6, 9: walk 0 to 0.3, prior_sigma 0.001 to 0.05, with and without `joint`, means
 of 2 to 5 %; nearly fixed coefficients won: at a walk of 0.1, not joint, c and xi follow the fault
@@ -30,15 +30,15 @@ from estimators.thermal.record import Array, Record
 from estimators.thermal.rivals.dpca import TINY, Scorer, moving, span
 
 LOSSES = np.geomspace(1.0 / 14_400.0, 1.0 / 120.0, 24)
-"""1/s: heat losses that are tried, time constants from four hours to two minutes."""
+"""Heat losses that are tried, 1/s: time constants from four hours to two minutes."""
 
 
 @dataclass(frozen=True)
 class EkfResidual:
     """Tuning of the filter.
 
-    walk: what c and xi may walk within a run, share; prior_sigma: their sigma at the start, share;
-    joint: whether innovations are weighed by their covariance in the fault-free run, not only by
+    walk: relative walk of c and xi within a run; prior_sigma: their relative sigma at the start;
+    joint: whether innovations are weighted by their covariance in the fault-free run, not only by
     the filter's own; window: share of the run's samples over which the statistic is averaged.
     """
 
@@ -49,7 +49,7 @@ class EkfResidual:
     name: str = "ekf"
 
     def fit(self, healthy: Record) -> Scorer:
-        """Learn from one fault-free run. ValueError if it has fewer than 10 samples."""
+        """Learn from one fault-free run. Raises ValueError for fewer than 10 samples."""
         if len(healthy.at) < 10:
             raise ValueError(f"{len(healthy.at)} samples are too few")
         model = Lumped.of(healthy)
@@ -103,7 +103,7 @@ class Lumped(NamedTuple):
         found[:, 4] = np.inf
         for loss in LOSSES.tolist():
             keep = np.exp(-loss * healthy.step_s)
-            # Exactly what steps of constant heat and ambient do to a first-order lag.
+            # Exact response of a first-order lag to steps of constant heat and ambient.
             driven = lfilter([1.0 - keep], [1.0, -keep], heat / loss, axis=0)[healthy.at]
             first = healthy.ambient[:1] * keep
             air = lfilter([1.0 - keep], [1.0, -keep], healthy.ambient, zi=first)[0][healthy.at]
@@ -116,7 +116,7 @@ class Lumped(NamedTuple):
                 table = np.stack(columns, axis=1)[known]
                 scale = np.maximum(np.abs(table).max(axis=0), TINY)
                 wanted = reading[known, n] - air[known]
-                # No cooling by current or speed.
+                # Neither current nor speed may cool.
                 lower = np.array([0.0, 0.0, -np.inf, -np.inf])
                 solution = _bounded(table / scale, wanted, lower) / scale
                 rest = wanted - table @ solution
@@ -125,7 +125,7 @@ class Lumped(NamedTuple):
                     fine = min(float(np.diff(rest).var()) / 2.0, variance)
                     found[n] = [loss, *solution[:3], variance, max(fine, 1e-4)]
         lost = ~np.isfinite(found[:, 0])
-        found[lost] = [LOSSES[0], 0.0, 0.0, 0.0, 1.0, 1e6]  # a channel without readings: no say
+        found[lost] = [LOSSES[0], 0.0, 0.0, 0.0, 1.0, 1e6]  # no readings: practically no weight
         losses, gain, by_speed, offset, spread, noise = found.T
         gain = np.maximum(gain, 1e-12)
         ambient = float(healthy.ambient.mean())
@@ -137,7 +137,7 @@ class Lumped(NamedTuple):
 
 
 def _bounded(table: Array, wanted: Array, lower: Array) -> Array:
-    """Least squares; what comes out below its bound is set to it and the rest solved again."""
+    """Least squares; a result below its bound is set to the bound and the rest solved again."""
     free = np.ones(table.shape[1], dtype=np.bool_)
     out = np.zeros(table.shape[1])
     for _ in range(len(lower)):
@@ -153,9 +153,9 @@ def _bounded(table: Array, wanted: Array, lower: Array) -> Array:
 def innovations(record: Record, model: Lumped, step: float, prior_sigma: float) -> Array:
     """(K, N) innovations over their sigma, 0 where there is no reading.
 
-    step: variance of the logarithms of gain and loss per sample; prior_sigma: of these at
-    the start.
-    A missing reading is left out: the filter's own prediction is its value.
+    step: variance of the logarithms of gain and loss per sample; prior_sigma: their standard
+    deviation at the start.
+    For a missing reading the filter's own prediction stands.
     """
     motors = record.temperature.shape[1]
     reading = record.temperature.reshape(-1, 3 * motors).T.astype(np.float64, order="C")

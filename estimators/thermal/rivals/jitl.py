@@ -1,9 +1,9 @@
 """Just-in-time learning (Cheng, Chiu 2004): paper `thermal`, Table 2.
 
 For every sample a local linear model, from the fault-free samples most like it, predicts each
-temperature; the statistic is the norm of what it does not explain, in standard deviations.
+temperature; the statistic is the norm of the residuals, in standard deviations.
 
-With `others` it knows that the motors are alike.
+With `others` it exploits that the motors are alike.
 Tried on seeds 0, 2 .. 8: 20 to 150 neighbours, ridge 1 or 10, with and without `others` and
 `joint`, means of 0 or 2 %; `others` and `joint` won 0.1 and 0.04 of mean AUC at 1 Hz.
 """
@@ -24,7 +24,7 @@ class Jitl:
     """Tuning of just-in-time learning.
 
     neighbours: k; ridge: of the local regression, in samples; others: whether what is predicted
-    is the difference to the other motors' median; joint: whether residuals are weighed by their
+    is the difference to the other motors' median; joint: whether residuals are weighted by their
     covariance, not only their own variances; window: share of the run's samples over which they
     are averaged; most: fault-free samples that are kept.
     """
@@ -38,7 +38,7 @@ class Jitl:
     name: str = "jitl"
 
     def fit(self, healthy: Record) -> Scorer:
-        """Learn from one fault-free run. ValueError if it has fewer than 10 samples."""
+        """Learn from one fault-free run. Raises ValueError for fewer than 10 samples."""
         from sklearn.neighbors import NearestNeighbors
 
         if len(healthy.at) < 10:
@@ -71,7 +71,7 @@ class Jitl:
 
 
 def rises(record: Record, start: Array, others: bool) -> tuple[Array, Array]:
-    """(K, U) inputs and (K, 3 M) targets, K above the ambient; `others`: beside their median."""
+    """(K, U) inputs and (K, 3 M) targets, K above the ambient; `others`: less their median."""
     known = features(record)
     rise = filled(record.temperature, start) - known[:, :1, None]
     if others and record.motors > 1:
@@ -80,9 +80,9 @@ def rises(record: Record, start: Array, others: bool) -> tuple[Array, Array]:
 
 
 class Norm(NamedTuple):
-    """Norm of averaged residuals, in standard deviations of the fit run's.
+    """Norm of averaged residuals, in standard deviations of the residuals of the fit's run.
 
-    centre: (V,) theirs; weight: (V, V) inverse of their covariance; window: samples averaged over.
+    centre: (V,) and weight: (V, V): mean and inverse covariance of these; window: samples averaged.
     """
 
     centre: Array
@@ -91,12 +91,12 @@ class Norm(NamedTuple):
 
     @classmethod
     def of(cls, own: Array, own_window: int, window: int, joint: bool) -> Norm:
-        """From (K, V) fault-free residuals, of which `own_window` span as much as `window`."""
+        """From (K, V) fault-free residuals, `own_window` of which span the time of `window`."""
         centre = own.mean(axis=0)
         shape = np.atleast_2d(np.cov(moving(own - centre, own_window), rowvar=False))
         if not joint:
             shape = np.diag(np.diag(shape))
-        # A hundredth of the mean variance: less is no evidence in so few independent samples.
+        # At least a hundredth of the mean variance: so few independent samples prove no less.
         floor = 1e-2 * float(np.trace(shape)) / len(shape) + TINY
         weight = np.linalg.inv(shape + floor * np.eye(len(shape)))
         return cls(centre, np.asarray(weight, dtype=np.float64), window)
@@ -112,7 +112,7 @@ class Norm(NamedTuple):
 def _local(query: Array, near: Array, known: Array, far: Array, ridge: float) -> Array:
     """(Q, P) prediction at (Q, V) from (Q, k, V) and (Q, k, P) at distances (Q, k)."""
     reach = np.maximum(far[:, -1:], TINY)
-    # Tricube: nothing jumps when the k-th neighbour changes.
+    # Tricube: the prediction does not jump when the k-th neighbour changes.
     weight = (1.0 - np.minimum(far / reach, 1.0) ** 3) ** 3 + TINY
     weight /= weight.sum(axis=1, keepdims=True)
     near_mean = np.einsum("qk,qkv->qv", weight, near)

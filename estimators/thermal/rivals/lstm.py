@@ -3,7 +3,7 @@
 It predicts all temperatures from the recent course of the inputs; the statistic is the norm of the
 residual. Derivatives are autograd's; nothing here imports it before `fit`.
 
-With `others` it knows that the motors are alike.
+With `others` it exploits that the motors are alike.
 Tried on seeds 0, 3, 6, 9: 2 to 6 steps, reach 1.5 or 5 %, 8 to 32 units, decay 0 to 0.01, with and
 without `others` and `joint`, means of 2 or 5 %; 3 steps of 32 units won, by little.
 """
@@ -21,10 +21,10 @@ from estimators.thermal.rivals.jitl import Norm, rises
 
 
 class Weights(NamedTuple):
-    """Of the network.
+    """Weights of the network.
 
     gates (I + H + 1, 4 H): rows of the inputs, of the last output and of 1; columns of the input,
-    forget and output gates, and of what is written. out (H + 1, T).
+    forget and output gates, and of the candidate value. out (H + 1, T).
     """
 
     gates: Array
@@ -35,7 +35,7 @@ class Weights(NamedTuple):
 class Lstm:
     """Tuning of the network.
 
-    steps: of a sequence; reach: share of the run's samples that it goes back; hidden: units;
+    steps: length of a sequence; reach: share of the run's samples that it goes back; hidden: units;
     rate, epochs: of Adam; decay: of the weights; others: whether what is predicted is the
     difference to the other motors' median; joint: as in `Jitl`; window: share of the run's samples
     over which residuals are averaged; most: sequences learnt from; seed: of the start weights.
@@ -57,8 +57,8 @@ class Lstm:
     def fit(self, healthy: Record) -> Scorer:
         """Learn from one fault-free run.
 
-        ModuleNotFoundError without autograd, ValueError if the run has fewer than 10 samples after
-        the first sequence.
+        Raises ModuleNotFoundError without autograd, ValueError if the run has fewer than 10 samples
+        after the first sequence.
         """
         stride = max(round(self.reach * len(healthy.at) / self.steps), 1)
         early = stride * (self.steps - 1)
@@ -95,7 +95,7 @@ class Lstm:
         return score
 
     def _learn(self, x: Array, y: Array) -> Weights:
-        """The weights that did best on the last fifth, which they have not learnt from."""
+        """The weights with the least error on the last fifth, which is held out of the learning."""
         from autograd import grad
         from autograd.misc.optimizers import adam
 
@@ -118,7 +118,7 @@ class Lstm:
 
 
 def weights(rng: np.random.Generator, inputs: int, hidden: int, outputs: int) -> Weights:
-    """Start of a network: even, within 1 / sqrt(hidden)."""
+    """Start weights of a network: uniform, within 1 / sqrt(hidden)."""
     most = hidden**-0.5
     return Weights(
         rng.uniform(-most, most, (inputs + hidden + 1, 4 * hidden)),
@@ -127,7 +127,7 @@ def weights(rng: np.random.Generator, inputs: int, hidden: int, outputs: int) ->
 
 
 def mean_square(learnt: tuple[Array, Array], x: Array, y: Array) -> Any:
-    """Of the errors of all outputs y (B, T) for sequences x (B, steps, I)."""
+    """Mean square error of all outputs y (B, T) for sequences x (B, steps, I)."""
     return ((predict(Weights(*learnt), x) - y) ** 2).mean()
 
 
