@@ -67,7 +67,7 @@ class Codec:
     def match(self, frame: Frame) -> tuple[Match, MessageSpec | None]:
         """Whether a frame may be decoded, and by which spec. Never raises.
 
-        Remote and error frames never hold data; length and format must be exactly the DBC's.
+        Remote and error frames are never decoded; length and format must be exactly the DBC's.
         WRONG_LENGTH and WRONG_FORMAT also come with the spec, because that message is corrupt.
         """
         flags = frame.flags

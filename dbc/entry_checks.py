@@ -36,8 +36,8 @@ class Checked(NamedTuple):
     """Result of the check of an entry.
 
     number: of the message, or None; name: of message or signal; fault: why it cannot be used, or
-    empty; text: for cantools; marker: multiplexing of a signal, `M`, `m3`, `m3M` or empty; size:
-    bytes of a message, bits of a signal.
+    empty; text: for cantools; marker: multiplexing of a signal, `M`, `m3`, `m3M` or empty; size: of
+    a signal, in bits.
     """
 
     number: int | None

@@ -66,7 +66,7 @@ class DbcMismatch(Exception):
 
 
 class Reading(NamedTuple):
-    """One decoded signal. `value` is physical and means something only where VALID."""
+    """One decoded signal. `value` is physical, and must be used only if it is VALID."""
 
     raw: int | float
     value: float

@@ -77,7 +77,7 @@ class Reporting(AbstractContextManager["Reporting"]):
 
     @property
     def next_ns(self) -> Nanos:
-        """See `Samples`: 0 for the first tick; later ticks need no further call."""
+        """See `Samples`: 0 before the first tick, then `MAX_NS`: the core keeps later ticks."""
         return MAX_NS if self._ticks.follows else 0
 
     def took(self, _now: Nanos, gateway: Gateway, _peak: NDArray[np.float64]) -> None:
