@@ -1,1 +1,1 @@
-"""Everything that knows about bits: message set, codec, protection, candump text. No maths."""
+"""Everything that depends on bits: message set, codec, protection, candump text. No maths."""

@@ -1,4 +1,4 @@
-"""Attributes of a DBC: which definition, default or value cannot be used, and why."""
+"""Attributes of a DBC: definitions, defaults and values that cannot be used, and why."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _CHOICES: Final = re.compile(rf"{TEXT}(?:\s*,\s*{TEXT})*")
 _WHOLE: Final = ("INT", "HEX", "ENUM")
 _NUMBERS: Final = ("INT", "HEX", "FLOAT")
 _AS_NUMBER: Final = ("GenSigStartValue", "GenMsgCycleTime", "SPN")
-"""cantools takes nothing but a number for them."""
+"""Attributes for which cantools accepts nothing but a number."""
 _INDEXED: Final = ("VFrameFormat", "GenMsgSendType")
-"""cantools looks for their values among those of the definition."""
+"""Attributes whose value cantools uses as an index into the values of the definition."""
 _FRAME_FORMATS: Final = 16
 _LONGEST: Final = 300
 
@@ -40,7 +40,10 @@ class Kind(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """An entry, why it or a part of it cannot be used, and its text without that, or None."""
+    """A faulty entry: why it or a part of it is unusable, and the usable text, None without one.
+
+    `why` is empty where the entry only has to be rewritten for cantools.
+    """
 
     entry: Entry
     why: str
@@ -48,7 +51,7 @@ class Fault(NamedTuple):
 
 
 def faults(entries: Sequence[Entry]) -> Iterator[Fault]:
-    """What cannot be used of all attributes, a definition before the values."""
+    """Yield the faults of all attributes, those of definitions before those of values."""
     kinds: dict[str, Kind] = {}
     for entry in entries:
         if entry.keyword == "BA_DEF_" and (match := _DEFINITION.fullmatch(entry.text)):
@@ -61,7 +64,7 @@ def faults(entries: Sequence[Entry]) -> Iterator[Fault]:
     for entry in entries:
         if entry.keyword == "BA_DEF_DEF_" and (match := _DEFAULT.fullmatch(entry.text)):
             kind = kinds.get(match[1][1:-1])
-            # An ENUM has a text here.
+            # The default of an ENUM is a text, so that only numbers are checked.
             if kind and kind.type_name in _NUMBERS and (why := _misfit(kind, match[2])):
                 yield Fault(entry, why, None)
         elif entry.keyword == "BA_" and (match := _VALUE.fullmatch(entry.text)):
@@ -70,7 +73,7 @@ def faults(entries: Sequence[Entry]) -> Iterator[Fault]:
 
 
 def _relations(entries: Sequence[Entry]) -> Iterator[Fault]:
-    """Values and defaults of relations that no entry defines."""
+    """Yield values and defaults of relation attributes that no BA_DEF_REL_ defines."""
     matches = [_RELATION.match(e.text) for e in entries if e.keyword == "BA_DEF_REL_"]
     defined = {match[1] for match in matches if match}
     for entry in entries:
@@ -80,13 +83,13 @@ def _relations(entries: Sequence[Entry]) -> Iterator[Fault]:
 
 
 def defined_by(entry: Entry) -> str:
-    """The attribute that a BA_DEF_ defines, or empty."""
+    """Name of the attribute that a BA_DEF_ defines; empty for any other entry."""
     match = _DEFINITION.fullmatch(entry.text) if entry.keyword == "BA_DEF_" else None
     return match[2][1:-1] if match else ""
 
 
 def named_by(entry: Entry) -> str:
-    """The attribute of which an entry has a value or default, or empty."""
+    """Name of the attribute whose value or default an entry gives; empty for any other entry."""
     match = None
     if entry.keyword in ("BA_", "BA_DEF_DEF_"):
         match = _NAME.match(entry.text)
@@ -94,7 +97,7 @@ def named_by(entry: Entry) -> str:
 
 
 def _limits(kind: str, text: str) -> tuple[str, str]:
-    """Why limits or choices cannot be read, or empty; what to write for them."""
+    """Why limits or choices cannot be read (empty: they can), and the text to write instead."""
     if kind in _NUMBERS:
         numbers = text.split()
         if len(numbers) not in (0, 2) or not all(map(_is_number, numbers)):
@@ -107,7 +110,7 @@ def _limits(kind: str, text: str) -> tuple[str, str]:
 
 
 def _value(entry: Entry, match: re.Match[str], kinds: dict[str, Kind]) -> Iterator[Fault]:
-    """Of a value: the attribute is defined, and can be that."""
+    """Yield the fault of a value whose attribute is not defined or cannot have it."""
     name, value = match[2][1:-1], match[3]
     kind = kinds.get(name)
     if kind is None:
@@ -128,14 +131,14 @@ def _value(entry: Entry, match: re.Match[str], kinds: dict[str, Kind]) -> Iterat
 
 
 def _count(name: str, kind: Kind) -> float:
-    """How many values an attribute has that is looked up by its number."""
+    """Number of values of an attribute whose value is an index; infinite if not known."""
     if name == "VFrameFormat" and kind.type_name == "INT":
         return _FRAME_FORMATS
     return len(kind.choices) if kind.choices else float("inf")
 
 
 def _misfit(kind: Kind, value: str) -> str:
-    """Why an attribute of this type cannot have this value, or empty."""
+    """Why an attribute of this type cannot have this value; empty if it can."""
     text = value[1:-1] if value.startswith('"') else value
     if kind.type_name not in (*_NUMBERS, "ENUM"):
         return ""
@@ -149,7 +152,7 @@ def _is_number(text: str) -> bool:
 
 
 def _is_finite(text: str) -> bool:
-    """Whether it can be made a whole number without filling the memory."""
+    """Whether a number can be converted to a whole one without filling the memory."""
     try:
         return len(text) < _LONGEST and abs(Decimal(text)) < 1 << 64
     except InvalidOperation:

@@ -1,4 +1,4 @@
-"""Bounds of a number that a person writes into a file, with its unit and what to do beyond them."""
+"""Bounds of a number that a person writes into a file, with unit and advice if it exceeds them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Final
 from pydantic import AfterValidator
 
 LONGEST: Final = 24
-"""Characters of a number that are quoted."""
+"""Most characters of a number that a message quotes."""
 
 
 @dataclass(frozen=True)
 class Within:
-    """low to high, both allowed, in `unit`; cure: what to do with a number outside.
+    """Range from low to high, both included, in `unit`; cure: what to do with a number outside.
 
-    Called with a number it gives it back, or raises ValueError with one line.
+    A call returns the number that it is given, or raises ValueError with one line.
     """
 
     low: float
@@ -24,19 +24,19 @@ class Within:
     cure: str
 
     def __call__(self, value: float) -> float:
-        """Raises ValueError outside of the bounds."""
+        """Return `value`; raises ValueError if it is outside the bounds."""
         if self.low <= value <= self.high:
             return value
         msg = f"expected {self}, got {_text(value)}: {self.cure}"
         raise ValueError(msg)
 
     def __str__(self) -> str:
-        """`0.01 to 100 ohm`."""
+        """Return the range as in `0.01 to 100 ohm`."""
         return f"{_plain(self.low)} to {_plain(self.high)} {self.unit}".rstrip()
 
 
 def within(low: float, high: float, unit: str, cure: str) -> AfterValidator:
-    """Those bounds for a field of a pydantic model: the metadata of its `Annotated` type."""
+    """Bounds for a field of a pydantic model, as metadata of its `Annotated` type."""
     return AfterValidator(Within(low, high, unit, cure))
 
 

@@ -1,7 +1,7 @@
-"""Bits to numbers and back, for one frame or a block of frames, by the DBC alone.
+"""Decode and encode one frame or a block of frames, by the DBC alone.
 
-`bind` compares a DBC with the contract and builds the tables; after that nothing here looks at
-cantools, and cantools is what the tests compare with.
+`bind` compares a DBC with the contract and builds the tables. After that nothing here uses
+cantools; the tests compare the results with those of cantools.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class Codec:
         digest: str = "",
         left_out: Sequence[str] = (),
     ) -> None:
-        """`messages` are checked and numbered from 0 (by `bind`).
+        """Build the tables; `messages` must be checked and numbered from 0, as by `bind`.
 
-        digest: SHA-256 of the file, hexadecimal; left_out: entries of it that are not used.
+        digest: SHA-256 of the file, hexadecimal; left_out: entries of the file that are not used.
         """
         self.path = path
         self.left_out = tuple(left_out)
@@ -61,14 +61,14 @@ class Codec:
         self._columns = [{s.name: k for k, s in enumerate(m.signals)} for m in self.messages]
 
     def own(self, *, creep: bool) -> list[MessageSpec]:
-        """What a gateway sends; `creep`: its optional messages, too."""
+        """Messages that a gateway sends, with `creep` the optional ones too."""
         return [m for m in self.messages if m.is_gateway and (creep or not m.is_optional)]
 
     def match(self, frame: Frame) -> tuple[Match, MessageSpec | None]:
-        """Whether a frame may be decoded, and as what. Never raises.
+        """Whether a frame may be decoded, and by which spec. Never raises.
 
-        Remote and error frames are never data; length and format must be the DBC's exactly.
-        The spec is given with WRONG_LENGTH and WRONG_FORMAT too: the message is then corrupt.
+        Remote and error frames are never decoded; length and format must be exactly the DBC's.
+        WRONG_LENGTH and WRONG_FORMAT also come with the spec, because that message is corrupt.
         """
         flags = frame.flags
         if flags & ERROR:
@@ -85,9 +85,9 @@ class Codec:
         return Match.OK, spec
 
     def decode(self, spec: MessageSpec, data: bytes) -> dict[str, Reading]:
-        """All signals of one frame by name; ABSENT ones have value NaN.
+        """Decode all signals of one frame, by name; the value of an ABSENT one is NaN.
 
-        Raises ValueError for data of another length: `match` first.
+        Raises ValueError if the data do not have the spec's length; call `match` first.
         """
         if len(data) != spec.length:
             msg = f"{spec.name}: {len(data)} bytes, expected {spec.length}"
@@ -108,10 +108,10 @@ class Codec:
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Decode n frames at once: index (n,) `MessageSpec.index`, payload (n, 64) zero-padded.
 
-        Returns physical value (n, S) and Validity (n, S), S = `width`; columns as
-        `spec.signals`, the unused ones NaN and ABSENT. Values of other than VALID cells are
-        still the scaled number (as cantools gives it) and must not be used. The lengths are
-        the caller's to check (`match`).
+        Returns physical value (n, S) and Validity (n, S), S = `width`. Columns are those of
+        `spec.signals`; unused ones are NaN and ABSENT. The value of any other cell that is not
+        VALID is still the scaled number, as in cantools, and must not be used. The caller has to
+        check the lengths (`match`).
         """
         n = len(index)
         index = np.ascontiguousarray(index, np.int32)
@@ -130,10 +130,10 @@ class Codec:
     def encode(self, spec: MessageSpec, values: Mapping[str, float | int | None]) -> bytearray:
         """Payload from physical values, header bytes (Crc, Counter) left at their start value.
 
-        None and non-finite numbers become the not-available code (the start value where there
-        is none); numbers out of range become the end value; signals not named have their start
-        value. Of multiplexed signals only those are written that the selectors call for.
-        Raises KeyError for a name the message does not have.
+        None and non-finite numbers become the not-available code, or the start value if there is
+        no such code. Numbers out of range become the end value. Signals not named have their start
+        value. Of the multiplexed signals only those that the selectors select are written.
+        Raises KeyError for a name that the message does not have.
         """
         columns = self._columns[spec.index]
         value, given = ffi.new("double[]", len(columns)), ffi.new("uint8_t[]", len(columns))
@@ -148,7 +148,7 @@ class Codec:
     def encode_rows(
         self, spec: MessageSpec, names: Sequence[str], values: NDArray[np.float64]
     ) -> list[bytearray]:
-        """The same for n frames of one message: values (n, S) of the S signals named."""
+        """Encode n frames of one message, as `encode`: values (n, S) of the S signals named."""
         columns = [self._columns[spec.index][name] for name in names]
         value = np.zeros((len(values), len(spec.signals)))
         value[:, columns] = values
@@ -163,13 +163,13 @@ class Codec:
 
 
 def _validity(code: int, value: float) -> Validity:
-    """Of the core's code, which has none of its own for a float that is no number."""
+    """Validity of a value; the core's code for a float that is NaN or infinite is RANGE."""
     lost = code == RANGE and not math.isfinite(value)
     return Validity.NOT_A_NUMBER if lost else Validity(code)
 
 
 def _raw(signal: SignalSpec, raw: Any, k: int) -> int | float:
-    """A number of `raw_values`, as its signal has it."""
+    """Number k of `raw_values`, in the type of its signal."""
     if signal.is_float:
         return ffi.cast("double *", raw)[k]  # type: ignore[no-any-return]
     return ffi.cast("int64_t *", raw)[k] if signal.is_signed else raw[k]  # type: ignore[no-any-return]
@@ -178,9 +178,9 @@ def _raw(signal: SignalSpec, raw: Any, k: int) -> int | float:
 def bind(path: Path, nodes: Sequence[int], contract: Contract | None = None) -> Codec:
     """Load a DBC, compare it with the contract for these drives, build the codec.
 
-    Without a contract it is the FD one if the drives have `Samples`, else the classic one;
-    `dbc.contract.ANY` takes any DBC that is sound in itself. Raises DbcMismatch, once, listing
-    everything that is wrong.
+    If `contract` is None, it is the FD contract if the drives have `Samples`, else the classic
+    one; `dbc.contract.ANY` accepts any DBC that is consistent in itself. Raises one DbcMismatch
+    that lists everything that is wrong.
     """
     path = Path(path)
     before = _digest(path)
@@ -191,7 +191,7 @@ def bind(path: Path, nodes: Sequence[int], contract: Contract | None = None) -> 
 
 
 def bind_usable(path: Path) -> Codec:
-    """Whatever of a DBC of others can be used; `left_out` lists the rest. Raises DbcMismatch."""
+    """Codec of the usable part of a foreign DBC; `left_out` lists the rest. Raises DbcMismatch."""
     from dbc.tolerant import read_any_dbc
 
     specs, left_out = read_any_dbc(Path(path))
@@ -199,7 +199,7 @@ def bind_usable(path: Path) -> Codec:
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a file; empty where it cannot be read, which `specs_of` explains."""
+    """SHA-256 of a file; empty if it cannot be read, because `specs_of` reports that."""
     try:
         return hashlib.sha256(read_bytes(path)).hexdigest()
     except (OSError, ValueError):

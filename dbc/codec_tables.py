@@ -12,19 +12,20 @@ from dbc.records import MESSAGE, MUX_RANGE, SIGNAL
 from dbc.spec import MessageSpec, SignalSpec
 
 PAYLOAD: Final[int] = lib.PAYLOAD_BYTES
-"""Width of a row of payload bytes, whatever the message's length."""
+"""Width of a row of payload bytes, whatever the length of the message."""
 _WORD, _LAST_WORD = 8, PAYLOAD - 8
 
 
 class CodecTables:
-    """Constant tables of a message set: `messages`, `signals`, `mux_ranges`, records of each.
+    """Constant tables of a message set: records of its `messages`, `signals` and `mux_ranges`.
 
     width: columns of a decoded row. pointer: the `struct codec`, for cffi; address: the same as a
-    number, for compiled loops. Both are good as long as this object lives; a copy is itself.
+    number, for compiled loops. Both are valid as long as this object exists; a deep copy returns
+    the object itself.
     """
 
     def __init__(self, specs: Sequence[MessageSpec]) -> None:
-        """Messages are numbered in this order.
+        """Build the tables; messages are numbered in the order of `specs`.
 
         Raises ValueError for a signal that ends behind `PAYLOAD` bytes.
         """
@@ -38,7 +39,7 @@ class CodecTables:
             places = {signal.name: k for k, signal in enumerate(spec.signals)}
             message["first_signal"], message["signal_count"] = len(rows), len(places)
             first = first_rows.setdefault(id(spec.signals), len(rows))
-            if first < len(rows):  # a message before it has the same
+            if first < len(rows):  # an earlier message has the same signals
                 rows += rows[first : first + len(places)]
             else:
                 for signal in spec.signals:
@@ -66,14 +67,14 @@ class CodecTables:
         self.address = int(ffi.cast("intptr_t", self.pointer))
 
     def __deepcopy__(self, _memo: dict[int, object]) -> CodecTables:
-        """Constant: a copy would be the same."""
+        """Return this object: the tables are constant."""
         return self
 
 
 def _row(
     signal: SignalSpec, spec: MessageSpec, places: Mapping[str, int], first_range: int
 ) -> tuple[Any, ...]:
-    """The record of a signal, as `SIGNAL` has its fields."""
+    """The record of a signal, in the order of the fields of `SIGNAL`."""
     depth, selector = 0, signal.mux_parent
     while selector:
         depth, selector = depth + 1, spec.signals[places[selector]].mux_parent
@@ -95,7 +96,7 @@ def _listed_by(spec: MessageSpec) -> SignalSpec | None:
 
 
 def _present(spec: MessageSpec, selector: SignalSpec) -> Iterator[int]:
-    """Signals of a listed message that are in a frame, a bit for each, by the selector's bits."""
+    """Yield for each selector value a mask: bit k is set if signal k is in such a frame."""
     for bits in range(1 << selector.length):
         negative = selector.is_signed and bits >> (selector.length - 1)
         raw = bits - (1 << selector.length) if negative else bits
@@ -107,9 +108,9 @@ def _present(spec: MessageSpec, selector: SignalSpec) -> Iterator[int]:
 
 
 def _place(signal: SignalSpec) -> dict[str, int]:
-    """Where its bits are."""
+    """Fields of the record for the position of the signal's bits."""
     first = min(signal.start >> 3, _LAST_WORD)
-    # Bits before it in its own order, from the first of the eight bytes on.
+    # Number of bits before the signal, in its own byte order, from the first of the eight bytes on.
     before = signal.start - 8 * first
     if signal.is_big_endian:
         before = 8 * (before >> 3) + 7 - (before & 7)
@@ -126,14 +127,14 @@ def _place(signal: SignalSpec) -> dict[str, int]:
 
 
 def _meaning(signal: SignalSpec) -> dict[str, int | float]:
-    """What its bits mean."""
+    """Fields of the record for the meaning of the signal's bits."""
     mask = (1 << signal.length) - 1
     is_signed = signal.is_signed and not signal.is_float
     sign = 1 << (signal.length - 1) if is_signed else 0
     low, high, none = (
         (raw & mask) ^ sign for raw in (signal.raw_min, signal.raw_max, signal.not_available or 0)
     )
-    # Nearly every value: those above the code are left out where it lies in the range, and an end.
+    # Fast path for most values, without saturated ends; it stops at a code inside the range.
     first, end = low + signal.saturates, high + 1 - signal.saturates
     if signal.not_available is not None and first <= none < end:
         end = none

@@ -1,4 +1,4 @@
-"""What a DBC has beside what the contract needs: objections, one line each."""
+"""Compare a DBC with the contract: objections, one line each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dbc.spec import MessageSpec, SignalSpec
 def compare(
     specs: Collection[MessageSpec], nodes: tuple[int, ...], contract: Contract
 ) -> Iterator[str]:
-    """Objections to the messages of these nodes."""
+    """Yield the objections to the messages of these nodes."""
     by_name = {spec.name: spec for spec in specs}
     for name, need, _ in contract.named(nodes):
         spec = by_name.get(name)

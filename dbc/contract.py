@@ -1,8 +1,8 @@
-"""What the gateway needs of a DBC: messages, signals, units, states. `bind` compares.
+"""Messages, signals, units and states that the gateway needs from a DBC; `bind` compares them.
 
-Written by hand and apart from the DBC files on purpose: two independent statements, and the
-start-up says where they disagree. Scaling, bit positions, ids and cycle times are free (they
-come from the DBC); names, units, widths of states and meanings of codes are not.
+The contract is deliberately written by hand, independently of the DBC files: at start-up the
+gateway reports where the two disagree. Scaling, bit positions, ids and cycle times are free (they
+come from the DBC); names, units, widths of states and meanings of codes are fixed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ NOT_AVAILABLE: Final = "NotAvailable"
 
 
 class Direction(Enum):
-    """Who sends the message, seen from the gateway."""
+    """Direction of a message, seen from the gateway."""
 
     CONSUMED = "consumed"
     PRODUCED = "produced"
@@ -25,7 +25,7 @@ class Direction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SignalNeed:
-    """One signal: unit on the wire, and code -> label where codes have a meaning."""
+    """One signal: its unit on the wire, and the label of each code that has a meaning."""
 
     name: str
     unit: str = ""
@@ -36,7 +36,7 @@ class SignalNeed:
 
 @dataclass(frozen=True, slots=True)
 class MessageNeed:
-    """One kind of message; `per_drive` ones exist as `Drive{n}_<kind>`, others as `Gateway_..`."""
+    """One kind of message: `Drive{n}_<kind>` if `per_drive`, else `Gateway_<kind>`."""
 
     kind: str
     direction: Direction
@@ -46,10 +46,10 @@ class MessageNeed:
     fd: bool = False
     cyclic: bool = True
     optional: bool = False
-    """The DBC may leave it out; who wants it sent looks for it."""
+    """The DBC may leave it out; a caller that wants to send it has to check that it is there."""
 
     def name(self, node: int) -> str:
-        """Name in the DBC; `node` is ignored for the gateway's own."""
+        """Name in the DBC; `node` is ignored for the gateway's own messages."""
         return f"Drive{node}_{self.kind}" if self.per_drive else f"Gateway_{self.kind}"
 
 
@@ -60,7 +60,7 @@ class Contract:
     messages: tuple[MessageNeed, ...]
 
     def named(self, nodes: tuple[int, ...]) -> Iterator[tuple[str, MessageNeed, int]]:
-        """(name, need, node or 0) of every message the given drives and the gateway need."""
+        """Yield (name, need, node or 0) of every message that these drives and the gateway need."""
         for need in self.messages:
             if not need.per_drive:
                 yield need.name(0), need, 0
@@ -239,4 +239,4 @@ CLASSIC: Final = Contract((_CURRENTS, _VOLTAGES, *_SHARED))
 FD: Final = Contract((_SAMPLES, *_SHARED))
 """The set of `traction_fd.dbc`: `Samples` replaces currents and voltages."""
 ANY: Final = Contract(())
-"""No expectations: any DBC that is sound in itself."""
+"""No expectations: any DBC that is consistent in itself."""

@@ -1,4 +1,4 @@
-"""The entries of a DBC that cantools does not take, found by trying, and the rest by cantools."""
+"""Load a DBC with cantools; entries that it rejects are found by trial and left out."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 _SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
 _MOST_LOADS: Final = 100
-"""To find entries that are well-formed and yet not taken: some for each."""
+"""Most loads to find well-formed entries that cantools rejects; each of them needs several."""
 _MEANING: Final = frozenset({"VERSION", "BS_", "BU_", "BO_", "SG_", "SIG_VALTYPE_", "SG_MUL_VAL_"})
 _MESSAGE: Final = Entry(0, "BO_", "BO_ 0 M: 8 N")
 _SHOWN: Final = 40
 
 
 def load_rest(path: Path, entries: Entries) -> Database:
-    """By cantools; entries that it does not take are left out. Raises DbcMismatch."""
+    """Load with cantools; entries that it rejects are left out. Raises DbcMismatch."""
     quiet = logging.getLogger("cantools.database.can.database")
     before = quiet.level
     quiet.setLevel(logging.ERROR)
@@ -59,7 +59,7 @@ def _load_rest(path: Path, entries: Entries) -> Database:
 
 
 def _load(entries: Sequence[Entry]) -> Database | str:
-    """By cantools, or what it says instead."""
+    """Load with cantools; return its error message, in one line, if it rejects the entries."""
     from cantools.database import load_string
     from cantools.database.errors import Error
 
@@ -72,15 +72,16 @@ def _load(entries: Sequence[Entry]) -> Database | str:
 
 
 def _malformed(entries: Sequence[Entry]) -> list[tuple[Entry, str]]:
-    """All entries whose form cantools' grammar does not have.
+    """All entries that do not fit cantools' grammar, each with the place of its error.
 
-    By halves, so that the time grows with the file and not with how many there are.
+    The list is searched by halves, so that the time grows with the size of the file and not with
+    the number of such entries.
     """
     out: list[tuple[Entry, str]] = []
     parts = [list(entries)]
     while parts:
         part = parts.pop()
-        # A signal is read in a message only.
+        # cantools reads a signal only inside a message.
         fault = _load([_MESSAGE, *part] if part[0].keyword == "SG_" else part)
         place = _SYNTAX.search(fault) if isinstance(fault, str) else None
         if place is None:
@@ -94,7 +95,7 @@ def _malformed(entries: Sequence[Entry]) -> list[tuple[Entry, str]]:
 
 
 def _where(entry: Entry, line: int, column: int) -> str:
-    """From where on an entry cannot be read; line, column: of a file with this entry only."""
+    """Where an entry becomes unreadable; line, column: in a file with only this entry."""
     lines = entry.text.split("\n")
     at = line - 2 - (entry.keyword == "SG_")
     rest = lines[at][column - 1 :].strip() if 0 <= at < len(lines) else ""
@@ -102,7 +103,7 @@ def _where(entry: Entry, line: int, column: int) -> str:
 
 
 def _first_not_taken(entries: Sequence[Entry]) -> tuple[Entry, str]:
-    """The first entry with which, behind all before it, a file is not read; and why."""
+    """The first entry that makes a file of it and all entries before it unreadable, and why."""
     good, bad = 0, len(entries)
     why = _load(entries)
     while bad - good > 1:

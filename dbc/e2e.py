@@ -1,7 +1,7 @@
-"""AUTOSAR E2E, profiles 02 and 05: protect a frame, check one, and the receiver's state machine.
+"""AUTOSAR E2E, profiles 02 and 05: protect a frame, check one, and run the receiver state machine.
 
-The rules are in `dbc/e2e.c`; here they are for one message at a time. E2E protects against faults,
-not against an attacker.
+`dbc/e2e.c` implements the rules; this module applies them to one message at a time. E2E protects
+against faults, not against an attacker.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from dbc.frame import FD, Nanos
 from dbc.records import E2E_CONFIG, E2E_STATE, Records
 
 MAX_DELTA: Final[int] = lib.E2E_MAX_DELTA
-"""Counter steps accepted between two frames: up to two frames may be lost in a row."""
+"""Largest counter step accepted between two frames: up to two frames may be lost in a row."""
 WINDOW: Final[int] = lib.E2E_WINDOW
-"""Receiver cycles the state machine looks back."""
+"""Number of receiver cycles that the state machine evaluates."""
 
 
 class Profile(IntEnum):
@@ -33,7 +33,7 @@ class Profile(IntEnum):
 
 HEADER_BYTES: Final = {Profile.NONE: 0, Profile.P02: 2, Profile.P05: 3}
 COUNTERS: Final = {Profile.NONE: 1, Profile.P02: 16, Profile.P05: 256}
-"""How many values the counter has before it wraps to 0."""
+"""Number of counter values before the counter wraps to 0."""
 
 
 class Check(IntEnum):
@@ -57,11 +57,11 @@ class SmState(IntEnum):
 
 
 class Protected(Protocol):
-    """Anything that says how it is protected, `MessageSpec` first of all."""
+    """Anything with a protection profile and data ids, above all `MessageSpec`."""
 
     @property
     def profile(self) -> Profile:
-        """Which profile."""
+        """The protection profile."""
 
     @property
     def data_ids(self) -> bytes:
@@ -69,11 +69,11 @@ class Protected(Protocol):
 
 
 class ProtectedFrame(Protected, Protocol):
-    """The same of a message whose frames all have one length."""
+    """A protected message whose frames all have the same length."""
 
     @property
     def length(self) -> int:
-        """Bytes."""
+        """Length of a frame in bytes."""
 
     @property
     def is_fd(self) -> bool:
@@ -92,7 +92,7 @@ def configs(specs: Sequence[ProtectedFrame]) -> Records:
 
 
 def states(messages: int) -> Records:
-    """Receivers that have received nothing, (N,) of `struct e2e_state`."""
+    """Initial states of receivers without any frame yet, (N,) of `struct e2e_state`."""
     found = np.zeros(messages, E2E_STATE)
     for state in ffi.from_buffer("struct e2e_state[]", found):
         lib.e2e_reset(ffi.addressof(state))
@@ -125,7 +125,7 @@ def crc_ok(spec: Protected, data: bytes | bytearray) -> bool:
 
 
 def counter_of(spec: Protected, data: bytes | bytearray) -> int | None:
-    """Counter of a frame; None without protection or where the data are too short."""
+    """Counter of a frame; None if it is not protected or its data are too short."""
     profile = spec.profile
     if profile is Profile.NONE or len(data) < HEADER_BYTES[profile]:
         return None
@@ -135,10 +135,10 @@ def counter_of(spec: Protected, data: bytes | bytearray) -> int | None:
 class Receiver:
     """Counter check and state machine of one message.
 
-    `check` checks a frame, `cycle` feeds the state machine once per receiver cycle (with
-    NO_NEW_DATA when nothing came). The first good frame sets the counter; a jump sets it anew, so
-    a restarted sender costs one WRONG_SEQUENCE. `lost` counts frames
-    that the counter proves missing; `missed` is what the last check added to it.
+    `check` checks a frame; `cycle` feeds the state machine once per receiver cycle (with
+    NO_NEW_DATA if no frame was received). The first good frame sets the expected counter, and a
+    jump sets it anew: a restart of the sender costs one WRONG_SEQUENCE. `lost` counts the frames
+    that the counter shows to be missing; `missed` is the number that the last check added to it.
     """
 
     __slots__ = ("_data_ids", "_profile", "_state", "counts", "lost")
@@ -147,14 +147,14 @@ class Receiver:
         """Start in NO_DATA with an empty window."""
         self._profile, self._data_ids = spec.profile, spec.data_ids
         self.counts = [0] * len(Check)
-        """Frames by result, the index is a `Check`."""
+        """Number of frames with each result; the index is a `Check`."""
         self.lost = 0
         self._state = states(1)
 
     def check(self, data: bytes, t_ns: Nanos = 0) -> Check:  # noqa: ARG002 - see docstring
-        """Check one frame. Never raises, whatever the bytes.
+        """Check one frame. Never raises, whatever the bytes are.
 
-        `t_ns` is not used: only the counter counts here, ages are the caller's.
+        `t_ns` is not used: this check looks at the counter only; the caller checks ages.
         """
         config = _config(self._profile, self._data_ids, len(data))
         frame = ffi.from_buffer("uint8_t[]", data)
@@ -170,10 +170,10 @@ class Receiver:
 
     @property
     def state(self) -> SmState:
-        """Of the state machine."""
+        """State of the state machine."""
         return SmState(self._state[0]["state"])
 
     @property
     def missed(self) -> int:
-        """Frames that the last frame proves lost."""
+        """Number of frames that the counter of the last frame shows to be lost."""
         return int(self._state[0]["missed"])

@@ -1,7 +1,8 @@
-"""A DBC as its entries, so that one that is wrong can be left out and the others be read.
+"""A DBC as a list of entries, so that a wrong one can be left out and the others can be read.
 
-cantools reads a file whole or not at all. Entries that it cannot take are left out here, and each
-is listed with its line and the reason. Where one says how a signal is read, the signal goes too.
+cantools reads a file whole or not at all. Entries that it cannot read are left out here, and each
+is listed with its line and the reason. If such an entry defines how a signal is decoded
+(SIG_VALTYPE_, SG_MUL_VAL_), the signal is unusable too.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _LONG: Final = re.compile(
 )
 _INDEPENDENT: Final = "VECTOR__INDEPENDENT_SIG_MSG"
 _READING: Final = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
-"""Entries without which a signal would be read as something else."""
+"""Entries without which a signal would be decoded wrongly."""
 _ORDER: Final = {"BA_DEF_DEF_": 1, "BA_DEF_": 2, "BA_": 3}
 _DIGITS: Final = re.compile(r"\d{300}")
 
@@ -45,34 +46,34 @@ class LeftOut(NamedTuple):
     why: str
 
     def __str__(self) -> str:
-        """As a person reads it."""
+        """One line for a person."""
         return f"line {self.line}: {self.what}: {self.why}"
 
 
 class Entries:
-    """The entries of a text that can be used; `left_out` lists the others.
+    """The usable entries of a text; `left_out` lists the others.
 
-    unusable: by number of the message and name of the signal, why a signal cannot be read although
-    its own entry can be. listed: those of them that `left_out` has already.
+    unusable: by message number and signal name, why a signal is not decoded although an entry for
+    it is kept. listed: those of these signals that are already in `left_out`.
     """
 
     def __init__(self, text: str) -> None:
-        """Entries that cannot be are left out at once, and what refers to them."""
+        """Split the text, and leave out impossible entries and those that refer to them."""
         self.left_out: list[LeftOut] = []
         self.unusable: dict[tuple[int, str], str] = {}
         self.listed: set[tuple[int, str]] = set()
         self.multiplexed: set[tuple[int, str]] = set()
-        """Signals that are in some frames only, by their own entry."""
+        """Signals that their own entry marks as multiplexed."""
         self._known: dict[int, dict[str, int]] = {}
-        """By number of the message: its signals, and the bits of each."""
+        """By message number: the names of its signals, and the size of each in bits."""
         self._gone: set[int] = set()
-        # A list of keywords (NS_) means nothing.
+        # The list of keywords (NS_) has no effect.
         found = [e for e in split(text.rstrip("\0\x1a \t\r\n")) if e.keyword != "NS_"]
         self.entries = [e for e in found if not self._is_foreign(e)]
         self._check_messages()
         self.entries = [new for e in self.entries if (new := self._checked(e)) is not None]
         self._check_attributes()
-        # Each behind those that it needs.
+        # Each entry comes behind those that it needs.
         self.entries.sort(key=lambda e: _ORDER.get(e.keyword, 4 * (e.keyword in ENDED)))
 
     def lines(self) -> dict[str, int]:
@@ -88,14 +89,14 @@ class Entries:
         return found
 
     def long_names(self) -> dict[tuple[int, str], str]:
-        """Names that cantools gives to signals instead of those in their entries."""
+        """Long names of signals, which cantools uses instead of those in their entries."""
         found = (_LONG.fullmatch(e.text) for e in self.entries if e.keyword == "BA_")
         return {(number_of(m[1]), m[2]): m[3][1:-1] for m in found if m}
 
     def drop(self, found: Sequence[tuple[Entry, str]]) -> None:
-        """Leave entries out, each listed with why.
+        """Leave these entries out; each is listed with its reason.
 
-        With a message go its signals, with the definition of an attribute its values.
+        The signals of a dropped message and the values of a dropped attribute are dropped as well.
         """
         undefined = {name for entry, _ in found if (name := attributes.defined_by(entry))}
         reasons = {id(entry): why for entry, why in found}
@@ -112,14 +113,14 @@ class Entries:
         self.entries = kept
 
     def _list(self, entry: Entry, why: str) -> None:
-        """Add to the list; with what says how a signal is read goes the signal."""
+        """Add an entry to `left_out`; if it defines how a signal is decoded, lose that signal."""
         what = " ".join(entry.text.split(":")[0].split()[:3])
         self.left_out.append(LeftOut(entry.line, what[:80], why))
         if entry.keyword in _READING:
             self._lose_signal(entry)
 
     def _lose_signal(self, entry: Entry) -> None:
-        """The signal that such an entry names is read as something else without it."""
+        """Mark as unusable the signal that an entry of `_READING` names."""
         _, digits, *words = [*re.findall(r"\w+", entry.text), "", ""]
         number = number_of(digits) if digits.isdecimal() else -1
         signals = self._known.get(number, {})
@@ -137,7 +138,7 @@ class Entries:
         return True
 
     def _check_messages(self) -> None:
-        """Messages and signals by their form."""
+        """Check the form of messages and signals."""
         kept: list[Entry] = []
         number: int | None = None
         lost = False
@@ -157,8 +158,8 @@ class Entries:
         self.entries = kept
 
     def _message(self, entry: Entry, found: Checked) -> int | None:
-        """Its number, or None if it is left out."""
-        # Where editors keep signals that no message has.
+        """Number of the message, or None if it is left out."""
+        # Editors keep signals that belong to no message in a message of this name.
         unused = found.name == _INDEPENDENT
         if not (found.fault or unused) and found.number is not None:
             self._known.setdefault(found.number, {})
@@ -169,7 +170,7 @@ class Entries:
         return None
 
     def _signal(self, entry: Entry, number: int) -> list[Entry]:
-        """The entry that is used for it, if any."""
+        """The entry to use for a signal, in a list; empty if there is none."""
         found: Checked | None = signal_of(entry.text)
         assert found is not None
         if found.fault:
@@ -180,7 +181,7 @@ class Entries:
             self.unusable[number, found.name] = "cannot be read"
             self.listed.add((number, found.name))
         elif (number, found.name) in self.listed:
-            # Two of one name, which `tolerant` leaves out.
+            # Two signals of one name: `tolerant` leaves them out.
             self.listed.discard((number, found.name))
         self._known[number][found.name] = found.size
         if found.marker.startswith("m"):
@@ -188,7 +189,7 @@ class Entries:
         return [entry._replace(text=found.text)]
 
     def _checked(self, entry: Entry) -> Entry | None:
-        """An entry that is about a message or signal; None if it is left out."""
+        """The entry, possibly with another text; None if it is left out."""
         bare = re.sub(TEXT, "", entry.text)
         if entry.keyword in ENDED and not (bare.endswith(";") and '"' not in bare):
             self._list(entry, "does not end in a semicolon, or its quotes do not match")
@@ -196,7 +197,7 @@ class Entries:
         if match := _ABOUT.match(entry.text):
             signals = self._known.get(number_of(match[2] or match[4]))
             named = match[1] == "SG_" and match[3]
-            # About what the file does not have: of no use to anybody.
+            # Entries about a message or signal that is not in the file are dropped unlisted.
             return None if signals is None or (named and match[3] not in signals) else entry
         match = _REFERENCE.match(entry.text)
         if match is not None and entry.keyword != "SIG_GROUP_":
@@ -207,7 +208,7 @@ class Entries:
         return entry
 
     def _of_signal(self, entry: Entry, number: int, name: str) -> Entry | None:
-        """A VAL_, SIG_VALTYPE_ or SG_MUL_VAL_."""
+        """A VAL_, SIG_VALTYPE_ or SG_MUL_VAL_ entry as it is used; None if it is left out."""
         size = self._known.get(number, {}).get(name)
         if size is None:
             if number not in self._gone:
@@ -245,8 +246,8 @@ class Entries:
 
 
 def text_of(entries: Sequence[Entry]) -> str:
-    """Entries as a file.
+    """Text of a DBC file with these entries.
 
-    Never empty; with an end, without which cantools takes half an entry.
+    It is never empty, and ends with a further keyword: else cantools accepts half an entry.
     """
     return "\n".join(["BS_:", *(entry.text for entry in entries), "BS_:", ""])

@@ -1,4 +1,4 @@
-"""What one entry of a DBC must look like, and what of it can be mended without a guess."""
+"""Check the form of single DBC entries, and repair what can be repaired without a guess."""
 
 from __future__ import annotations
 
@@ -33,10 +33,11 @@ _NAME: Final = "a name has letters of ASCII, digits and _, and begins with no di
 
 
 class Checked(NamedTuple):
-    """An entry that was looked at.
+    """Result of the check of an entry.
 
     number: of the message, or None; name: of message or signal; fault: why it cannot be used, or
-    empty; text: as cantools takes it; marker: of a signal, `M`, `m3`, `m3M` or empty; size: bits.
+    empty; text: for cantools; marker: multiplexing of a signal, `M`, `m3`, `m3M` or empty; size: of
+    a signal, in bits.
     """
 
     number: int | None
@@ -48,7 +49,7 @@ class Checked(NamedTuple):
 
 
 def message_of(text: str) -> Checked:
-    """A message; one without a sender has none, instead of being no message."""
+    """Check a BO_; one without a valid sender gets the sender Vector__XXX and is not rejected."""
     match = _MESSAGE.fullmatch(text)
     if match is None:
         return Checked(None, "", "is no message (BO_ number name: bytes sender)", text)
@@ -67,19 +68,19 @@ def message_of(text: str) -> Checked:
 
 
 def number_of(digits: str) -> int:
-    """A message's number; one that is too long is -1, which no message has."""
+    """Number of a message; -1, which no message has, for more than 10 digits."""
     return int(digits) if len(digits) <= 10 else -1
 
 
 def _is_identifier(number: int) -> bool:
-    """Whether a frame can have it: bit 31 is that of an identifier of 29 bits."""
+    """Whether a frame can have this identifier; bit 31 marks one of 29 bits."""
     if not 0 <= number < 1 << 32:
         return False
     return number & 0x7FFF_FFFF <= (0x1FFF_FFFF if number >> 31 else 0x7FF)
 
 
 def signal_of(text: str) -> Checked:
-    """A signal; receivers that cannot be read are none, instead of being no signal."""
+    """Check an SG_; unreadable receivers become Vector__XXX, and the signal is not rejected."""
     match = _SIGNAL.fullmatch(text)
     if match is None:
         fault = "is no signal (SG_ name : start|length@order sign (scale,offset) [min|max] unit"
@@ -103,7 +104,7 @@ def signal_of(text: str) -> Checked:
 
 
 def stand_in(text: str) -> Checked | None:
-    """For a selector that cannot be read: one that can, so that what it selects is known.
+    """Readable replacement of a selector that cannot be read, so that its dependents are known.
 
     None for any other signal.
     """
@@ -115,7 +116,7 @@ def stand_in(text: str) -> Checked | None:
 
 
 def value_type_of(text: str, size: int) -> tuple[str, str]:
-    """Why a SIG_VALTYPE_ of a signal with so many bits cannot be used, or empty; its text."""
+    """Why a SIG_VALTYPE_ of a signal of `size` bits cannot be used (empty: it can); its text."""
     match = _VALUE_TYPE.fullmatch(text)
     if match is None:
         return "is not of the form SIG_VALTYPE_ number name : 0, 1 or 2;", text
@@ -125,7 +126,7 @@ def value_type_of(text: str, size: int) -> tuple[str, str]:
 
 
 def multiplexing_of(text: str) -> tuple[str, str]:
-    """Why a SG_MUL_VAL_ cannot be used, or empty; its text as cantools takes it."""
+    """Why a SG_MUL_VAL_ cannot be used (empty: it can), and its text for cantools."""
     match = _MULTIPLEX.fullmatch(text)
     if match is None:
         return (
@@ -142,7 +143,7 @@ def multiplexing_of(text: str) -> tuple[str, str]:
 
 
 def labels_of(text: str) -> tuple[str, str]:
-    """What of a VAL_ cannot be used, or empty; its text with the labels that can."""
+    """Which labels of a VAL_ cannot be used (empty: none), and its text with the others."""
     match = _LABELS.fullmatch(text)
     if match is None:
         return "", text

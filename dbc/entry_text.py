@@ -1,8 +1,8 @@
 """The text of a DBC, split into its entries.
 
-An entry starts with a keyword at the start of a line, or behind the semicolon of the one before.
-In the line of a message or of a signal a further signal may follow. What belongs to no entry is
-one of its own, with an empty keyword.
+An entry starts with a keyword at the start of a line or behind the semicolon of the entry before.
+Further signals may follow in the line of a message or signal. Text that belongs to no entry
+becomes an entry with an empty keyword.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _HEADS: Final = {
     "BU_": re.compile(r"[^\n]*(?:\n[\w \t]*$)*", re.MULTILINE),
     "NS_": re.compile(r"[^\n]*(?:\n[\w \t]*$)*", re.MULTILINE),
 }
-"""What belongs to an entry that has no semicolon; further lines are no part of it."""
+"""Extent of an entry that has no semicolon; further lines are not part of it."""
 
 
 class Entry(NamedTuple):
@@ -52,7 +52,7 @@ class Entry(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """keyword, first character, the one behind the last, and those of comments in it."""
+    """A piece: keyword, first character, the one behind the last, and the same of its comments."""
 
     keyword: str
     first: int
@@ -61,7 +61,7 @@ class _Piece(NamedTuple):
 
 
 def split(text: str) -> list[Entry]:
-    """All entries of a text, in their order."""
+    """All entries of a text, in the order of the text."""
     out: list[Entry] = []
     line, at = 1, 0
     for piece in _pieces(text):
@@ -97,16 +97,16 @@ def _starts(found: re.Match[str], keyword: str, text: str) -> str:
     if found["inner"] and keyword not in ("BO_", "SG_"):
         return ""
     if word and keyword == "NS_":
-        # The list of keywords at the start of most files.
+        # In the list of keywords at the start of most files a keyword stands alone in its line.
         line = text[found.end() : found.end() + 80].partition("\n")[0]
         return word if line.strip() else ""
     return word
 
 
 def _behind(text: str, quote: int, keyword: str) -> int:
-    """Where a text in quotes ends; one that does not end goes on to the next line of an entry.
+    """Where a text in quotes ends; one without an end reaches to the next line that is an entry.
 
-    A comment may have lines that look like entries: then the semicolon must follow it.
+    A comment (CM_) may have lines that look like entries if a semicolon follows its closing quote.
     """
     found = _TEXT.match(text, quote)
     end = found.end() if found else len(text)
@@ -127,7 +127,7 @@ def _without(text: str, piece: _Piece) -> str:
 
 
 def _parts(line: int, keyword: str, text: str) -> Iterator[Entry]:
-    """An entry, and the lines behind it that are no part of it."""
+    """Yield an entry, and the lines behind it that are not part of it."""
     end = 0
     if keyword:
         head = _HEADS[keyword].match(text) if keyword in _HEADS else None

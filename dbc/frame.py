@@ -1,7 +1,7 @@
-"""The one frame type of the project: what a bus, a log and the simulator exchange.
+"""The one frame type of the project: buses, logs and the simulator exchange it.
 
-Time is an integer of nanoseconds on whatever clock the driver states (monotonic when live,
-the log's own when replaying). Frames are values: nothing here reads a clock.
+Time is an integer in nanoseconds on the clock of the source (monotonic when live, the log's own
+when replaying). Frames are values: nothing here reads a clock.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ FD: Final[int] = lib.FRAME_FD
 BRS: Final[int] = lib.FRAME_BRS
 ESI: Final[int] = lib.FRAME_ESI
 TX: Final[int] = lib.FRAME_TX
-"""Direction in a log: sent by the recorder itself. Without it: received, or not known."""
+"""Direction in a log: the recorder itself sent the frame. Not set: received, or not known."""
 
 FD_LENGTHS: Final = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
-"""Bytes of data that a CAN FD frame can have; `dbc/fd_length.h` says the same to the core."""
+"""Data lengths of a CAN FD frame in bytes; `dbc/fd_length.h` has the same list for the core."""
 
 MS: Nanos = 1_000_000
 SECOND: Nanos = 1_000_000_000
@@ -36,8 +36,8 @@ class Frame(NamedTuple):
     """A CAN frame as seen on the wire.
 
     `can_id` is the bare identifier (11 or 29 bits; for error frames the error class bits,
-    29 bits); `flags` are the constants above or-ed; `dlc` is -1 where it equals the data
-    length, else the requested length of a remote frame or a raw classic DLC of 9..15.
+    29 bits); `flags` are the constants above or-ed; `dlc` is -1 if it equals the data length,
+    else the requested length of a remote frame or a raw classic DLC of 9..15.
     """
 
     t_ns: Nanos

@@ -1,4 +1,4 @@
-"""Many frames as arrays: what the compiled loops read. A list of `Frame` says the same."""
+"""Many frames as arrays, which the compiled loops read. A list of `Frame` holds the same data."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from dbc.frame import Frame
 from dbc.records import pointer
 
 MAX_DATA_BYTES: Final = 64
-"""Bytes kept per frame: the most that CAN FD carries."""
+"""Bytes kept per frame: the longest data of CAN FD."""
 
 
-# A name is looked up each time.
+# Resolved once: cffi looks up a type name at each use.
 _INT64, _UINT32, _UINT8 = (ffi.typeof(f"{name}[]") for name in ("int64_t", "uint32_t", "uint8_t"))
 
 
 class Block(NamedTuple):
-    """n frames, in the order in which they came.
+    """n frames, in the order of reception.
 
     t_ns (n,) int64; can_id (n,) uint32, flags (n,) uint8 and dlc (n,) int8 as in `Frame`;
     length (n,) uint8; data (n, 64) uint8, zero behind the length; channel (n,) uint16, an index
@@ -45,16 +45,16 @@ class Block(NamedTuple):
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
-        """All but the names."""
+        """All columns, without the names."""
         return self.t_ns, self.can_id, self.flags, self.length, self.data, self.dlc, self.channel
 
     def columns(self) -> Any:
-        """Where the columns lie, a `struct frame_columns`. The block has to outlive its use."""
+        """Addresses of the columns, a `struct frame_columns`. The block has to outlive its use."""
         others = pointer("int8_t", self.dlc), pointer("uint16_t", self.channel)
         return ffi.new("struct frame_columns *", (*self.addresses(), *others))
 
     def addresses(self) -> tuple[Any, Any, Any, Any, Any]:
-        """Where the first five columns lie: what a tick looks at. As for `columns`."""
+        """Addresses of the first five columns, which a tick reads; same condition as `columns`."""
         at = ffi.from_buffer
         return (
             at(_INT64, self.t_ns), at(_UINT32, self.can_id), at(_UINT8, self.flags),
@@ -66,11 +66,11 @@ class Block(NamedTuple):
         return self.pick(slice(first, last))
 
     def pick(self, which: NDArray[np.int64] | NDArray[np.bool_] | slice) -> Block:
-        """The frames that an index or a mask names, copied; of a slice: views."""
+        """The frames that an index or a mask selects, copied; for a slice, as views."""
         return Block._make([*(column[which] for column in self.arrays), self.names])
 
     def frame(self, k: int) -> Frame:
-        """One frame."""
+        """Frame number k."""
         return Frame(
             self.t_ns.item(k),
             self.can_id.item(k),
@@ -81,7 +81,7 @@ class Block(NamedTuple):
         )
 
     def frames(self) -> Iterator[Frame]:
-        """All frames."""
+        """Yield all frames, in their order."""
         data = self.data.tobytes()
         ends = (
             MAX_DATA_BYTES * np.arange(self.size) + np.minimum(self.length, MAX_DATA_BYTES)
@@ -95,7 +95,7 @@ class Block(NamedTuple):
         return map(partial(tuple.__new__, Frame), rows)
 
     def ordered(self) -> Block:
-        """By time stamp, then id; frames with the same of both stay in the order they came."""
+        """The frames sorted by time stamp, then id; the sort is stable."""
         t, i = self.t_ns, self.can_id
         later = t[1:] > t[:-1]
         if bool(np.all(later | ((t[1:] == t[:-1]) & (i[1:] >= i[:-1])))):
@@ -104,7 +104,7 @@ class Block(NamedTuple):
 
 
 def blank(rows: int, names: Sequence[str]) -> Block:
-    """Space for so many frames of the first channel, to be filled in; `dlc` is -1 already."""
+    """An unfilled block of `rows` frames of the first channel, with `dlc` -1."""
     return Block(
         np.empty(rows, dtype=np.int64),
         np.empty(rows, dtype=np.uint32),
@@ -118,14 +118,14 @@ def blank(rows: int, names: Sequence[str]) -> Block:
 
 
 def block_of(frames: Iterable[Frame]) -> Block:
-    """Frames as a block, in their order. Data beyond 64 bytes are cut; `length` tells (255)."""
+    """Frames as a block, in their order. Data are cut after 64 bytes; `length` counts to 255."""
     rows = list(frames)
     if not rows:
         return EMPTY
     t_ns, can_id, data, flags, channel, dlc = zip(*rows, strict=True)
     names = list(dict.fromkeys(channel))
     number = [0] * len(rows) if len(names) == 1 else [names.index(name) for name in channel]
-    # Writable, as every other block: compiled code would be loaded once more for a read-only one.
+    # Writable like every other block: a read-only one would need its own compiled code.
     joined = bytearray().join([item.ljust(MAX_DATA_BYTES, b"\0")[:MAX_DATA_BYTES] for item in data])
     return Block(
         np.array(t_ns, dtype=np.int64),
@@ -140,7 +140,7 @@ def block_of(frames: Iterable[Frame]) -> Block:
 
 
 def in_blocks(frames: Iterable[Frame], size: int = 1 << 13) -> Iterator[Block]:
-    """Frames as blocks of at most `size`; what came before an exception is given first."""
+    """Yield frames as blocks of at most `size`; those before an exception come before it."""
     held: list[Frame] = []
     try:
         for frame in frames:
@@ -157,7 +157,7 @@ def in_blocks(frames: Iterable[Frame], size: int = 1 << 13) -> Iterator[Block]:
 
 
 def join(first: Block, second: Block) -> Block:
-    """Both, one after the other."""
+    """Both blocks as one, `first` before `second`."""
     if not first.size or not second.size:
         return second if not first.size else first
     names = list(dict.fromkeys([*first.names, *second.names]))

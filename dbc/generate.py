@@ -1,8 +1,8 @@
-"""The two DBC files from the message table: `python -m dbc.generate` writes them.
+"""Write the two DBC files from the message table: `python -m dbc.generate`.
 
-The files are what everybody reads (bind, other people's tools). Of a file with just this content
-the specs come from the table too: cantools takes 0.4 s. Tests assert that the committed files are
-what this generates, and that the specs are what cantools reads in them.
+Everybody reads the files (`bind`, other people's tools). For a file with exactly this content the
+specs come from the table, because cantools needs 0.4 s. Tests assert that the committed files are
+those that this module generates, and that the specs are those that cantools reads from them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dbc.spec import MessageSpec, SignalSpec
 
 HERE = Path(__file__).parent
 FILES = {"traction.dbc": False, "traction_fd.dbc": True}
-"""File name -> whether it is the CAN FD set."""
+"""Name of each file, and whether it holds the CAN FD set."""
 
 _SECTIONS = (
     "NS_DESC_", "CM_", "BA_DEF_", "BA_", "VAL_", "CAT_DEF_",
@@ -74,7 +74,7 @@ def _message(can_id: int, entry: Entry) -> Iterator[str]:
 
 
 def _number(raw: int, f: Field) -> str:
-    """Physical value of a raw one, in as many decimals as the scale has."""
+    """Physical value of a raw one, with as many decimals as the scale."""
     decimals = len(f.scale.partition(".")[2])
     return f"{raw * float(f.scale) + float(f.offset):.{decimals}f}"
 
@@ -117,16 +117,16 @@ def render(fd: bool) -> str:
 
 
 def _labels(f: Field) -> dict[int, str]:
-    """Names of raw values, ascending, with that of the not-available code."""
+    """Labels of raw values, ascending, that of the not-available code included."""
     labels = dict(f.labels)
     if f.code is not None:
-        # `Reason` already has a cause of that name; labels are unique, to encode by name.
+        # `Reason` already has a cause of that name. Labels must be unique for encoding by name.
         labels[f.code] = "SNA" if NOT_AVAILABLE in labels.values() else NOT_AVAILABLE
     return dict(sorted(labels.items()))
 
 
 def recall(content: bytes) -> tuple[MessageSpec, ...] | None:
-    """Specs of a DBC file with this content, wherever it lies; None if it is none of the two."""
+    """Specs of a DBC file with this content; None if it is neither of the two generated files."""
     fd = b"_Samples" in content
     if content != render(fd).encode("ascii"):
         return None
@@ -170,7 +170,7 @@ def _signal(f: Field) -> SignalSpec:
 
 
 def main(words: Sequence[str] = ()) -> int:
-    """Rewrite the files beside this module; `--check`: only say which are not as generated."""
+    """Rewrite the files beside this module; `--check` only lists those not as generated."""
     wrong = 0
     for name, fd in FILES.items():
         path, text = HERE / name, render(fd)

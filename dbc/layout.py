@@ -1,4 +1,4 @@
-"""Where signals lie in a message, and what of it cannot be: overlaps, misfits, duplicates."""
+"""Positions of signals in a message, and their faults: overlaps, misfits, duplicates."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _INDEPENDENT: Final = b"VECTOR__INDEPENDENT_SIG_MSG"
 
 
 def oversized(text: bytes) -> Iterator[str]:
-    """Lines whose numbers no CAN frame has, before cantools makes memory of them."""
+    """Yield lines with numbers impossible in CAN, for which cantools would allocate memory."""
     for number, line in enumerate(text.split(b"\n"), 1):
         where = f"line {number}"
         if match := _BO.match(line):
@@ -44,7 +44,7 @@ def oversized(text: bytes) -> Iterator[str]:
 
 
 def bits_of(signal: Signal | SignalSpec, big_endian: bool) -> range:
-    """Positions in transmission order: byte * 8 + bit, counted along the signal's own order."""
+    """Positions of a signal's bits, byte * 8 + bit; bits count in the signal's own byte order."""
     if not big_endian:
         return range(signal.start, signal.start + signal.length)
     first = 8 * (signal.start >> 3) + 7 - (signal.start & 7)
@@ -59,14 +59,14 @@ def _occupied(signal: Signal) -> frozenset[int]:
 
 
 def layout_faults(database: Database) -> Iterator[str]:
-    """Signals that do not fit, and pairs that overlap without being multiplexed apart."""
+    """Yield signals that do not fit, and overlapping pairs that one frame can hold together."""
     for message in database.messages:
         bits = {signal.name: _occupied(signal) for signal in message.signals}
         for signal in message.signals:
             if max(bits[signal.name]) >= 8 * message.length:
                 yield f"{message.name}.{signal.name}: does not fit in {message.length} bytes"
         for one, other in combinations(message.signals, 2):
-            # One name twice is for `duplicates`, and to be told apart only by where it lies.
+            # `duplicates` reports two signals of one name; here only their positions differ.
             if one.name == other.name or not bits[one.name] & bits[other.name]:
                 continue
             if not _exclusive(message, one, other):
@@ -74,7 +74,7 @@ def layout_faults(database: Database) -> Iterator[str]:
 
 
 def _exclusive(message: Message, one: Signal, other: Signal) -> bool:
-    """True if no frame can hold both: they need different values of one selector."""
+    """True if no frame can hold both signals: they need different values of one selector."""
     first, second = _conditions(message, one), _conditions(message, other)
     return any(
         not first[name] & second[name] for name in first.keys() & second.keys()
@@ -92,7 +92,7 @@ def _conditions(message: Message, signal: Signal) -> dict[str, frozenset[int]]:
 
 
 def duplicates(messages: Sequence[Message]) -> Iterator[str]:
-    """Names and ids used twice, and signals twice in a message: cantools takes the last."""
+    """Yield names and ids used twice, and signals twice in a message; cantools keeps the last."""
     names = Counter(m.name for m in messages)
     yield from (f"{name}: defined {k} times" for name, k in names.items() if k > 1)
     ids = defaultdict(list)

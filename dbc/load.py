@@ -1,7 +1,7 @@
-"""From a DBC file to message specs, with every objection in one list.
+"""Load a DBC file as message specs, with all objections in one list.
 
-cantools reads the file; what it lets pass in silence (duplicate names and ids) or reports one
-at a time (layout) is looked for here. Nothing in this module is used after start-up.
+cantools reads the file. This module finds the faults that cantools does not report (duplicate
+names and ids) or reports one at a time (layout). Nothing here is used after start-up.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def load(path: Path, *, strict: bool = True) -> Database:
-    """Read a DBC with cantools. Raises DbcMismatch if there is no such file or it is no DBC."""
+    """Read a DBC with cantools. Raises DbcMismatch if the file is missing or is not a DBC."""
     from cantools.database import load_string
     from cantools.database.errors import Error
 
@@ -36,14 +36,14 @@ def load(path: Path, *, strict: bool = True) -> Database:
     except FileNotFoundError:
         raise DbcMismatch(path, ["no such file"]) from None
     except (OSError, ValueError) as error:
-        # ValueError: a NUL in the name, which a TOML string may hold.
+        # A name with a NUL, which a TOML string may contain, raises ValueError.
         reason = error.strerror if isinstance(error, OSError) else error
         raise DbcMismatch(path, [f"cannot be read: {reason}"]) from None
     if impossible:
         raise DbcMismatch(path, impossible)
     quiet = logging.getLogger("cantools.database.can.database")
     before = quiet.level
-    # Duplicates only make it log; they are listed properly by `dbc.layout`.
+    # cantools only logs duplicates; `dbc.layout` lists them properly.
     quiet.setLevel(logging.ERROR)
     try:
         database = load_string(decoded(text), "dbc", strict=strict)
@@ -70,7 +70,7 @@ def specs_of(
     try:
         specs = recall(read_bytes(path))
     except (OSError, ValueError):
-        # `load` says what is wrong with it.
+        # `load` reports what is wrong with the file.
         specs = None
     if specs is None:
         specs, problems = read(path)
@@ -82,7 +82,7 @@ def specs_of(
 
 
 def read(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
-    """Every message of the file by cantools, and what is wrong in the file itself.
+    """Every message of the file, read by cantools, and the faults of the file itself.
 
     Raises DbcMismatch for a file that cantools cannot read at all.
     """
@@ -91,7 +91,7 @@ def read(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
     try:
         database = load(path)
     except DbcMismatch as refused:
-        # Once more without the layout check, to list every fault of layout at once.
+        # Load again without the layout check, to list all faults of layout at once.
         try:
             database = load(path, strict=False)
         except DbcMismatch:
@@ -119,6 +119,6 @@ def read(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
 
 
 def choose(specs: Collection[MessageSpec], nodes: Sequence[int]) -> Contract:
-    """The FD contract if a wanted drive (or any, if none is wanted) has `Samples`."""
+    """The FD contract if one of `nodes` (if empty: any drive) has `Samples`, else the classic."""
     fd = any(s.kind == "Samples" and (not nodes or s.node in nodes) for s in specs)
     return expected.FD if fd else expected.CLASSIC

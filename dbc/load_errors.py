@@ -1,7 +1,7 @@
-"""Why cantools refuses a DBC, in words: which line, what is wrong with it, what to do.
+"""Explain why cantools rejects a DBC: which line, what is wrong with it, what to do.
 
-cantools names the place where its grammar stopped, or names things without a place. Two causes
-are common in files of others and have a cure that is sure; any other syntax error gets its line.
+cantools reports where its parser stopped, or names entries without a line. Two causes are common
+in foreign files and have a sure cure; for any other syntax error the line is reported.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _NODES: Final = re.compile(rb"^\s*BU_\s*:", re.MULTILINE)
 
 
 def explained(message: str, text: bytes) -> list[str]:
-    """Problems, one a line with its cure, of what cantools says (in one line) of this file."""
+    """Problems with their cures, one a line, from the one-line `message` of cantools for a file."""
     lines = text.splitlines()
     if message.startswith("unused VAL_ entries"):
         return list(_unused(message, lines)) or [message]
@@ -38,7 +38,7 @@ def explained(message: str, text: bytes) -> list[str]:
 
 
 def placed(fault: str, text: bytes) -> str:
-    """A fault of a message or signal, `Message.Signal: ..`, with the line where that stands."""
+    """A fault `Message.Signal: ..` or `Message: ..`, with the line of that signal or message."""
     found = _PLACE.match(fault)
     names = [name.encode() if name else None for name in found.groups()] if found else [None] * 2
     inside = False
@@ -53,11 +53,11 @@ def placed(fault: str, text: bytes) -> str:
 
 
 def _unused(message: str, lines: list[bytes]) -> Iterator[str]:
-    """The lines of value tables whose message or signal the file does not have."""
+    """Yield a problem for each value table whose message or signal the file does not have."""
     for can_id, signal in dict.fromkeys(_UNUSED.findall(message)):
         table = re.compile(rf"\s*VAL_\s+{can_id}\s+{signal}\s".encode())
         found = [k for k, line in enumerate(lines, 1) if table.match(line)]
-        # In another encoding, or over two lines: named, although without a place.
+        # A table in another encoding or over two lines is not found: reported without a line.
         for where in [f"line {k}: " for k in found] or [""]:
             yield (
                 f"{where}VAL_ {can_id} {signal}: a value table of a signal that the file does not "

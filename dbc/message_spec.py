@@ -1,4 +1,4 @@
-"""One message of a DBC as a spec: layout, scaling, ranges, codes, and what is wrong with them."""
+"""One message of a DBC as a spec: layout, scaling, ranges, codes, and their faults."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _PRODUCED: Final = frozenset(
     if need.direction is Direction.PRODUCED
 )
 _LONGEST_CYCLE_MS: Final = 3_600_000
-# A DBC decimal times a power of two is off by a few ulp; raw bounds are whole numbers.
+# A bound divided by the scale is off by a few ulp; raw bounds are whole numbers.
 _SLACK: Final = 1e-6
 
 
 def message_spec(
     database: Database, message: Message, index: int
 ) -> tuple[MessageSpec, list[str], dict[str, str]]:
-    """The message; what is wrong with it; signals that cannot be decoded, and why.
+    """The message; its faults; the signals that cannot be decoded, each with the reason.
 
-    What is wrong is not in the spec: a range that cannot be is none, a cycle time 0.
+    The spec holds no faulty value: an impossible range is left out, such a cycle time is 0.
     """
     problems: list[str] = []
     signals = []
@@ -62,7 +62,7 @@ def message_spec(
             can_id=message.frame_id,
             length=message.length,
             is_fd=message.is_fd,
-            # Vector's default, where the attribute is not there, is with bit rate switch.
+            # If the attribute is not there, Vector's default is with bit rate switch.
             brs=message.is_fd and str(1 if brs is None else brs) == "1",
             cycle_ns=round(cycle * 1_000_000),
             profile=profile,
@@ -80,7 +80,7 @@ def message_spec(
 
 
 def _selectors(name: str, signals: Sequence[SignalSpec]) -> Iterator[str]:
-    """What a signal is multiplexed by must be there, and end somewhere."""
+    """Yield signals whose chain of selectors leaves the message or ends in a loop."""
     parents = {signal.name: signal.mux_parent for signal in signals}
     for signal in signals:
         at, seen = signal.mux_parent, {signal.name}
@@ -94,7 +94,7 @@ def _selectors(name: str, signals: Sequence[SignalSpec]) -> Iterator[str]:
 
 
 def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str], str]:
-    """The signal; what is wrong with it and left out; why it cannot be decoded, or ""."""
+    """The signal; its faults, which are left out; why it cannot be decoded, or ""."""
     problems: list[str] = []
     unusable = ""
     low, high = (
@@ -110,7 +110,7 @@ def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str], str]:
         unusable = f"a float of {signal.length} bits is not supported"
     labels = {}
     for raw, label in (signal.choices or {}).items():
-        # Tools write the code of a signed signal as the unsigned number of its bits.
+        # Some tools write a code of a signed signal as the unsigned value of its bits.
         wrapped = (
             int(raw) - (1 << signal.length) if signal.is_signed and int(raw) > high else int(raw)
         )
@@ -118,7 +118,7 @@ def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str], str]:
     raw_min, raw_max = low, high
     float_min, float_max = SignalSpec.float_limits()
     bounds = (signal.minimum, signal.maximum)
-    # Equal ones are how many tools write that there is no range.
+    # Many tools write two equal bounds if there is no range.
     if bounds[0] is not None and bounds[1] is not None and bounds[0] != bounds[1]:
         minimum, maximum = float(bounds[0]), float(bounds[1])
         if minimum > maximum:
@@ -127,7 +127,7 @@ def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str], str]:
             float_min, float_max = max(minimum, float_min), min(maximum, float_max)
         else:
             ends = sorted(((minimum - offset) / scale, (maximum - offset) / scale))
-            # Bounds beyond the type's (infinite ones too) are the type's.
+            # Bounds beyond those of the type, infinite ones too, are clamped to them.
             raw_min = max(low, math.ceil(min(max(ends[0], low), high + 1) - _SLACK))
             raw_max = min(high, math.floor(max(min(ends[1], high), low - 1) + _SLACK))
             if raw_min > raw_max:
@@ -166,7 +166,7 @@ def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str], str]:
 
 
 def _start(signal: Signal, low: int, high: int) -> tuple[int, list[str]]:
-    """Raw start value; a not given or (for floats) fractional one is 0."""
+    """Raw start value and its faults; 0 if it is not given, faulty, or that of a float."""
     raw = signal.raw_initial
     if raw is None or signal.is_float:
         return 0, []
@@ -180,12 +180,12 @@ def _start(signal: Signal, low: int, high: int) -> tuple[int, list[str]]:
 def _not_available(
     labels: Mapping[int, str], raw_range: tuple[int, int], limits: tuple[int, int]
 ) -> int | None:
-    """The raw value that says that there is none, if a label says so of one.
+    """The not-available code, if a label such as NotAvailable marks one, else None.
 
-    At the end of the raw limits, or with all bits set, such a label is that code. Elsewhere it is
-    one only where no other label names a state, or outside of the range: "NA", which may be a
-    country, not even there. Of several the highest: `Reason` has a cause called NotAvailable below
-    its own code.
+    At an end of the raw limits, or with all bits set, such a label marks the code. Elsewhere it
+    does so only if no other label names a state, or outside the range; there "NA", which may be a
+    country, does not count. Of several the highest is the code: `Reason` has a cause called
+    NotAvailable below its own code.
     """
     low, high = limits
     found = [raw for raw, text in labels.items() if _says_no_data(text)]
@@ -204,7 +204,7 @@ def _says_no_data(label: str) -> bool:
 
 
 def _is_special(label: str) -> bool:
-    """Whether a label is of no state: no data, an error, not yet valid."""
+    """Whether a label names no state, but no data, an error, or data not yet valid."""
     return (
         _says_no_data(label)
         or re.search(r"err|fault|invalid|init|unknown|reserved", label, re.I) is not None
@@ -212,7 +212,7 @@ def _is_special(label: str) -> bool:
 
 
 def _runs(values: Collection[int]) -> tuple[tuple[int, int], ...]:
-    """Sorted numbers as inclusive runs."""
+    """The numbers as sorted inclusive runs (first, last)."""
     runs: list[list[int]] = []
     for value in sorted(values):
         if runs and value == runs[-1][1] + 1:

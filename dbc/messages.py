@@ -1,7 +1,7 @@
 """The message table of the two DBC files, as `dbc.generate` writes them.
 
-Programs and people read the DBC files; this spares typing 133 messages by hand, twice, and reading
-them with cantools at every start.
+Programs and people read the DBC files. The table saves typing 133 messages by hand, twice, and
+reading them with cantools at every start.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Entry:
 def measured(
     name: str, start: int, length: int, comment: str, unit: str, scale: str, **kw: object
 ) -> Field:
-    """A number with a not-available code, the widest range beside it, absent at start."""
+    """A number with the widest range beside its not-available code, which is its start value."""
     signed = bool(kw.pop("signed", False))
     code = (1 << (length - signed)) - 1
     plain = Field(
@@ -96,7 +96,7 @@ def state(name: str, start: int, comment: str, good: str, bad: str) -> Field:
 
 
 def quality(start: int = 12, length: int = 4) -> Field:
-    """What the sender itself thinks of the values of this message."""
+    """The sender's own rating of the values of this message."""
     return chosen(
         "Quality", start, length, "What the sender thinks of the values of this message.",
         "Initialising", "Valid", "Degraded",
@@ -104,7 +104,7 @@ def quality(start: int = 12, length: int = 4) -> Field:
 
 
 def reason() -> Field:
-    """Why a flag is unknown."""
+    """The reason why a flag is unknown."""
     return chosen(
         "Reason", 12, 4, "Highest-priority cause over the configured drives that are unknown.",
         "None", "Starting", "Stale", "Corrupted", "Sequence", "Range", "NotAvailable",
@@ -118,7 +118,7 @@ def temperature(name: str, start: int, comment: str) -> Field:
 
 
 def volts(name: str, start: int, comment: str) -> Field:
-    """A voltage of the stationary frame, averaged over the interval before."""
+    """A voltage of the stationary frame, averaged over the interval before the sample."""
     return measured(name, start, 16, comment, "V", "0.1", signed=True)
 
 
@@ -188,7 +188,7 @@ def samples() -> Entry:
 
 
 def drive_messages(fd: bool) -> tuple[Entry, ...]:
-    """Everything one drive sends, and what the gateway sends about it."""
+    """All messages that one drive sends, and those that the gateway sends about it."""
     to_drive = ("Drive{n}",)
     return (
         *((samples(),) if fd else electrical()),
@@ -284,7 +284,7 @@ def drive_messages(fd: bool) -> tuple[Entry, ...]:
 
 
 def gateway_messages() -> tuple[Entry, ...]:
-    """The gateway's flags and what it says of itself."""
+    """Messages with the flags, configuration, timing, authentication and state of the gateway."""
     drives = tuple(f"Drive{n}" for n in DRIVES)
     unit_age = "Age of the oldest sample used; saturates at 254 steps."
     return (
@@ -369,9 +369,9 @@ def header(fd: bool) -> tuple[Field, Field]:
 
 @cache
 def messages(fd: bool) -> tuple[tuple[int, Entry], ...]:
-    """(CAN id, message) of the whole set, header included, by id.
+    """(CAN id, message) of the whole set, header included, sorted by id.
 
-    Messages that differ in the drive only share their tuple of fields.
+    Messages that differ only in the drive share one tuple of fields.
     """
     drives = [_protected(entry) for entry in drive_messages(fd)]
     found = [(entry.base_id + n, _numbered(entry, n)) for entry in drives for n in DRIVES]

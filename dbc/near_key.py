@@ -1,4 +1,4 @@
-"""The key that a misspelt one of a configuration or a scenario was meant to be."""
+"""Find the key that a misspelt key of a configuration or a scenario was meant to be."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any, get_args
 
 
 def did_you_mean(model: Any, loc: Sequence[int | str]) -> str:
-    """`; did you mean 'node'?`, or nothing where no key is near.
+    """Return `; did you mean 'node'?`, or an empty text if no key is similar.
 
-    model: pydantic's of the whole document; loc: where it refuses a key, that key at the end.
+    model: pydantic model of the whole document; loc: path of the rejected key, the key last.
     """
     import difflib
 
@@ -24,7 +24,7 @@ def did_you_mean(model: Any, loc: Sequence[int | str]) -> str:
 
 
 def _models(annotation: Any) -> Iterator[Any]:
-    """Models in a type such as `dict[str, Motor] | None`."""
+    """Yield the models in a type such as `dict[str, Motor] | None`."""
     if hasattr(annotation, "model_fields"):
         yield annotation
     for part in get_args(annotation):

@@ -1,4 +1,4 @@
-"""Work that another thread does ahead: reading goes on while what was read is looked at."""
+"""Work that another thread does ahead: it reads on while the caller uses what was read."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ T = TypeVar("T")
 
 
 def ahead(items: Iterator[T]) -> Iterator[T]:
-    """The same items (none of them None), the next one made while the last is looked at.
+    """Yield the same items (none may be None); the next is made while the caller uses the last.
 
-    What making one raises is raised in its place. Pays where making them leaves Python to others,
-    as compiled loops and zlib do.
+    An exception raised in making an item is raised in its place. This saves time only if making an
+    item releases the GIL, as compiled loops and zlib do.
     """
-    # Here, because a live gateway starts without.
+    # Imported here, because a live gateway starts without it.
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:

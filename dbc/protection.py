@@ -1,4 +1,4 @@
-"""End-to-end protection by a DBC's attributes: profile, data ids, and the place of the header."""
+"""E2E protection from the attributes of a DBC: profile, data ids, and position of the header."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PROFILES: Final = {"none": Profile.NONE, "p02": Profile.P02, "p05": Profile.P05
 
 
 def attribute(database: Database, message: Message, name: str) -> Any:
-    """Value of a message attribute, enumerations by name; None where not defined."""
+    """Value of a message attribute, of an enumeration the name; None if it is not defined."""
     specifics = database.dbc
     definition = specifics.attribute_definitions.get(name) if specifics else None
     own = message.dbc.attributes.get(name) if message.dbc and message.dbc.attributes else None
@@ -37,7 +37,7 @@ def attribute(database: Database, message: Message, name: str) -> Any:
 
 
 def protection(database: Database, message: Message) -> tuple[Profile, bytes, list[str]]:
-    """Profile and data ids by the DBC's attributes; NONE where there are none."""
+    """Profile (NONE without attributes), data ids and faults, from the attributes of a message."""
     text = attribute(database, message, "E2EProfile")
     if text is None:
         return Profile.NONE, b"", []
@@ -64,7 +64,7 @@ def protection(database: Database, message: Message) -> tuple[Profile, bytes, li
 
 
 def header_faults(name: str, profile: Profile, signals: Sequence[SignalSpec]) -> Iterator[str]:
-    """The header's own signals must lie where the profile has them, and no other there."""
+    """Yield header signals that are not where the profile has them, and others in the header."""
     if profile is Profile.NONE:
         return
     header = {label: (start, length) for label, start, length in _HEADERS[profile]}

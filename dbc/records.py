@@ -1,6 +1,6 @@
-"""NumPy types of the core's records, made from `gateway/core/records.h` by the compiler's layout.
+"""NumPy types of the core's records in `gateway/core/records.h`, with the compiler's layout.
 
-A record is read by name, `state[c]["counter"]`; its fields, units and meanings stand in that file.
+Fields are read by name, `state[c]["counter"]`; that file describes them and gives their units.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 Records = NDArray[np.void]
 """One record per row."""
 Columns = np.recarray[Any, np.dtype[Any]]
-"""The same, read by columns: `filters.x` is (N, 5), `filters.steps[k] = 0` writes into record k."""
+"""Records read by columns: `filters.x` is (N, 5), `filters.steps[k] = 0` writes into record k."""
 
 
 _NAMES: Final = {"_cffi_double_complex_t": "complex128", "size_t": "uintp"}
-"""Where cffi's name is not NumPy's."""
+"""NumPy's name of a type for which cffi uses another name."""
 
 
 @cache
@@ -42,7 +42,7 @@ def dtype_of(ctype: Any) -> Any:
 
 
 def zeros(n: int, dtype: Any) -> Columns:
-    """N records of zeros."""
+    """Return n records of zeros."""
     return np.zeros(n, dtype).view(np.recarray)
 
 
@@ -141,14 +141,14 @@ DRIVE_ROW: Final = dtype_of(ffi.typeof("struct drive_row"))
 
 
 class Addressed:
-    """Something whose records hold addresses of its arrays; a copy has addresses of its own."""
+    """An object whose records hold addresses of its arrays; a copy gets those of its own arrays."""
 
     def link(self) -> None:
-        """Make everything that depends on where the arrays lie."""
+        """Create everything that depends on the addresses of the arrays."""
         raise NotImplementedError
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Addressed:
-        """The arrays once more, linked anew."""
+        """Copy the arrays and link the copy to them."""
         made = type(self).__new__(type(self))
         memo[id(self)] = made
         for name, value in vars(self).items():

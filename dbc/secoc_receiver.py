@@ -1,17 +1,18 @@
-"""Authentication of flag frames, receiver's side: which of the flag frames heard are genuine. Pure.
+"""Authentication of flag frames, receiver's side: find the genuine ones among those received. Pure.
 
-A flag frame waits until a `Gateway_Auth` vouches for it. What fails is dropped and counted, and
-nothing that fails is held against the frames that follow: a forger can add frames, not take the
-sender's away. The upper 48 bits of the freshness are the receiver's own knowledge:
+A flag frame waits until a `Gateway_Auth` authenticates it. A frame that fails is dropped and
+counted. It does not affect the frames that follow, because a forger can add frames but cannot
+remove the sender's. The upper 48 bits of the freshness are not sent; the receiver finds them:
 
-- it accepts at once what is newer than the last genuine frame by up to `WINDOW` frames;
-- after `QUIET_NS` without a genuine one it also looks further ahead: the sender may have been
-  started again (a higher start number, up to `TRIPS`) or was not heard for long (up to `TURNS`
-  times 65,536 frames). As many guesses make a chance hit likelier, the first `SURE` - 1 frames
-  that fit are not believed, only used to find the place.
+- it accepts at once a freshness up to `WINDOW` frames ahead of the last genuine frame;
+- after `QUIET_NS` without a genuine frame it also searches further ahead. The sender may have been
+  restarted (start number higher by up to `TRIPS`) or not received for long (up to `TURNS` times
+  65,536 frames). So many guesses make a chance match likelier: the first `SURE` - 1 frames that
+  match are not accepted, but only used to find the freshness.
 
-Freshness says "newer than the last I heard", not "now": see docs/threats.md. A receiver that can be
-switched off has to keep `freshness`, or recordings of what it never heard are new to it.
+Freshness proves "newer than the last frame received", not "now": see docs/threats.md. A receiver
+that can be switched off has to store `freshness`; else it accepts recordings of frames that it
+never received.
 """
 
 from __future__ import annotations
@@ -24,32 +25,32 @@ from dbc.frame import MS, SECOND, Nanos
 from dbc.secoc_sender import COUNT_BITS, FRESHNESS_BITS, SENT_BITS, Macs
 
 WINDOW: Final = 1024
-"""A gap of so many frames is bridged at once: nine seconds at 110 a second."""
+"""Longest gap in frames that is bridged at once: nine seconds at 110 frames a second."""
 SURE: Final = 3
-"""Frames in a row that fit a guess before one is believed."""
+"""Number of frames that have to match a guess before one is accepted."""
 TRIPS: Final = 64
-"""Starts of the sender that may have gone unheard."""
+"""Most starts of the sender that the receiver may have missed."""
 AT_ONCE: Final = 4
-"""Of these as many are looked for with every frame; more take a sweep, which a flood delays."""
+"""Number of these starts tried with every frame; more need a sweep, which a flood delays."""
 TURNS: Final = 256
-"""Times 65,536 frames of one start that may have gone unheard: 42 hours at 110 a second."""
+"""Most missed frames of one start, in units of 65,536: 42 hours at 110 frames a second."""
 QUIET_NS: Final[Nanos] = 200 * MS
 WAITING: Final = 2
-"""Newest flag frames of an identifier that may wait: each is one more chance for a guessed MAC."""
+"""Most waiting flag frames of an identifier: each is one more chance for a guessed MAC."""
 WAITING_NS: Final[Nanos] = 20 * MS
 GUESS_NS: Final[Nanos] = SECOND
-"""A guess that nothing confirms is forgotten."""
+"""A guess that no frame confirms within this time is dropped."""
 SWEEP: Final = 256
-"""Guesses for one frame .."""
+"""Most guesses of a sweep for one frame .."""
 SWEEP_RATE: Final = 100 * SWEEP
-"""..and in a second: what an unheard-of sender costs at most."""
+""".. and in a second: the most work that an unknown sender can cause."""
 NOTICE_NS: Final[Nanos] = SECOND
 _TURN_BITS: Final = COUNT_BITS - SENT_BITS
 _NEVER: Final[Nanos] = -(1 << 62)
 
 
 class Genuine(NamedTuple):
-    """A flag frame that the sender vouches for; key as `MessageSpec.key`, t_ns of its reception."""
+    """A flag frame, genuine if `Verifier.auth` returned it; key: see `MessageSpec`; t_ns: stamp."""
 
     key: int
     data: bytes
@@ -57,17 +58,17 @@ class Genuine(NamedTuple):
 
 
 class Verifier:
-    """One receiver. Give every flag frame to `flag`, every `Gateway_Auth` to `auth`.
+    """One receiver. Pass every flag frame to `flag`, and every `Gateway_Auth` to `auth`.
 
-    Counts: accepted; failed (no flag frame that waits fits); alone (none waits at all); held
-    (fits a guess that is not sure yet).
+    Counts of `Gateway_Auth`: accepted; failed (no waiting flag frame matches); alone (no flag frame
+    waits); held (matches a guess that is not confirmed yet).
     """
 
     def __init__(self, key: bytes, freshness: int = 0) -> None:
-        """freshness: as kept of an earlier run, so that nothing older counts as new."""
+        """freshness: value stored in an earlier run, so that no older frame is accepted."""
         self._macs = Macs(key)
         self.freshness = freshness
-        """Of the newest genuine frame; to be kept by whoever keeps this receiver's memory."""
+        """Freshness of the newest genuine frame; the caller has to store it for the next run."""
         self.accepted = self.failed = self.alone = self.held = 0
         self._waiting: list[Genuine] = []
         self._received_ns: Nanos = _NEVER
@@ -81,14 +82,14 @@ class Verifier:
         self._reported_ns: Nanos = _NEVER
 
     def flag(self, key: int, data: bytes, now: Nanos) -> None:
-        """A flag frame came: nothing is believed yet."""
+        """Add a received flag frame to those that wait for authentication."""
         self._waiting.append(Genuine(key, data, now))
         same = [w for w in self._waiting if w.key == key]
         if len(same) > WAITING:
             self._waiting.remove(same[0])
 
     def auth(self, low: int, mac: int, now: Nanos) -> Genuine | None:
-        """A `Gateway_Auth` came; gives the flag frame that is genuine now. Never raises."""
+        """Return the flag frame that this `Gateway_Auth` makes genuine, or None. Never raises."""
         self._waiting = [w for w in self._waiting if now - w.t_ns <= WAITING_NS]
         if not self._waiting:
             self.alone += 1
@@ -104,7 +105,7 @@ class Verifier:
         return None
 
     def notice(self, now: Nanos) -> str | None:
-        """What a person should know, at most once a second; None if nothing is new."""
+        """Message for a person about new failures, at most once a second; None without any."""
         wrong = self.failed + self.alone
         if wrong == self._reported or now - self._reported_ns < NOTICE_NS:
             return None
@@ -123,7 +124,7 @@ class Verifier:
         return found
 
     def _look_ahead(self, low: int, mac: int, now: Nanos) -> Genuine | None:
-        """Further than the window. A frame that does not fit is not held against the guess."""
+        """Search beyond the window. A frame that does not match leaves the guess as it is."""
         if now - self._guess_ns > GUESS_NS:
             self._guess, self._fits = 0, 0
         elif (value := _after(self._guess, low)) - self._guess <= WINDOW:
@@ -142,9 +143,10 @@ class Verifier:
         return None
 
     def _guesses(self, low: int, mac: int, now: Nanos) -> bool:
-        """Whether a new guess was found, for the newest flag frame that waits.
+        """Whether a new guess was found for the newest waiting flag frame.
 
-        It must be newer than the guess before: what is genuine now is newer than any recording.
+        It must be newer than the guess before: a frame that is genuine now is newer than any
+        recording.
         """
         newest = self._waiting[-1:]
         for upper in chain(self._likely(), self._sweep(now)):
@@ -158,13 +160,13 @@ class Verifier:
         return False
 
     def _likely(self) -> tuple[int, ...]:
-        """Upper bits tried for every frame, whatever a flood has used up: a gap, a new start."""
+        """Upper bits tried for every frame, without a limit of rate: for a gap or a new start."""
         upper = self.freshness >> SENT_BITS
         trip = upper >> _TURN_BITS
         return (upper, upper + 1, *(trip + k << _TURN_BITS for k in range(1, AT_ONCE + 1)))
 
     def _sweep(self, now: Nanos) -> Iterator[int]:
-        """The next upper bits of all, the fewest turns first; as many as may be tried now."""
+        """Yield the next upper bits to try, fewest turns first, as many as the rate allows now."""
         rate = SWEEP_RATE / SECOND
         since = max(0, now - self._tokens_ns)
         self._tokens = min(float(SWEEP), self._tokens + since * rate)

@@ -1,12 +1,12 @@
 """Authentication of flag frames: the MAC and the sender; receivers are `dbc.secoc_receiver`. Pure.
 
-A flag frame is followed by `Gateway_Auth`: the low 16 bits of a freshness value of 64, and the
+A flag frame is followed by `Gateway_Auth`: the low 16 bits of a 64-bit freshness value, and the
 first four bytes of the AES-CMAC (RFC 4493) over identifier, flag frame and freshness.
-The freshness is the number of the sender's start (24 bits) over a count of flag frames (40 bits):
-it never repeats under one key as long as no start number does, and no clock is needed for it.
+The upper 24 bits of the freshness are the number of the sender's start, the lower 40 a count of
+flag frames. It needs no clock, and never repeats under one key as long as no start number does.
 
-May know: bits and keys. May not know: where a key comes from. This module loads `cryptography`;
-nobody imports it who has no key.
+This module works on bits and keys; it does not know where a key comes from. It loads
+`cryptography`, so that only callers with a key import it.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from cryptography.hazmat.primitives.cmac import CMAC
 KEY_BYTES: Final = 16
 MAC_BYTES: Final = 4
 SENT_BITS: Final = 16
-"""Of the freshness; the receiver has to know the others."""
+"""Bits of the freshness that are sent; the receiver has to know the others."""
 COUNT_BITS: Final = 40
-"""Flag frames of one start: 300 years at the fastest loop and a change in every tick."""
+"""Bits of the count of flag frames: enough for 300 years at the fastest loop, one each tick."""
 TRIP_BITS: Final = 24
 FRESHNESS_BITS: Final = COUNT_BITS + TRIP_BITS
 LAST_TRIP: Final = (1 << TRIP_BITS) - 1
 
 
 class Macs:
-    """Truncated MACs under one key, which is for this and nothing else."""
+    """Truncated MACs under one key, which must not be used for anything else."""
 
     def __init__(self, key: bytes) -> None:
         """AES-128: raises ValueError for a key of other than 16 bytes."""
@@ -38,8 +38,8 @@ class Macs:
         self._keyed = CMAC(AES(key))
 
     def whole(self, message: bytes) -> bytes:
-        """All 16 bytes, RFC 4493."""
-        # A copy of a keyed object: the key's schedule is not worked out for every frame.
+        """The whole MAC of 16 bytes, RFC 4493."""
+        # A copy of a keyed object saves the key schedule for every frame.
         mac = self._keyed.copy()
         mac.update(message)
         return mac.finalize()
@@ -48,7 +48,7 @@ class Macs:
         """`Mac` of a flag frame: the first four bytes, in their order on the wire.
 
         key_id: identifier, bit 31 set for 29-bit ones (`MessageSpec.key`). Identifier and
-        freshness have fixed widths, so no two frames give the same message.
+        freshness have fixed widths, so that different frames never give the same message.
         """
         message = key_id.to_bytes(4, "big") + data + freshness.to_bytes(FRESHNESS_BITS // 8, "big")
         return int.from_bytes(self.whole(message)[:MAC_BYTES], "little")
@@ -67,7 +67,7 @@ class Authenticator:
             raise ValueError(msg)
         self._macs = Macs(key)
         self.freshness = trip << COUNT_BITS
-        """Of the last frame that was authenticated."""
+        """Freshness of the last frame that was authenticated."""
 
     def sign(self, key_id: int, data: bytes) -> tuple[int, int]:
         """(`Freshness`, `Mac`) of the next flag frame."""

@@ -1,4 +1,4 @@
-"""What a bound DBC says of messages and signals: immutable, plain, without cantools."""
+"""Messages and signals of a bound DBC as plain immutable data, without cantools."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ ABSENT: Final[int] = lib.SIGNAL_ABSENT
 NOT_A_NUMBER: Final[int] = ABSENT + 1
 
 EXTENDED_KEY: Final = 1 << 31
-"""Or-ed to a 29-bit id where ids are keys, as in a DBC: 0x123 and 0x00000123 differ."""
+"""Bit set in a 29-bit id used as a key, as in a DBC: 0x123 and 0x00000123 differ."""
 
 
 class Validity(IntEnum):
-    """What a raw value says of itself, before any scaling.
+    """Validity of a raw value, before any scaling.
 
-    VALID a number in range; NOT_AVAILABLE the sender's own code for "none"; RANGE outside the
-    DBC's range; SATURATED at the end of a signed range, so the true value may lie beyond; ABSENT
-    not in this frame (multiplexed away, or an unused column); NOT_A_NUMBER a float that is NaN or
-    infinite, which the core takes for RANGE.
+    VALID: a number in range. NOT_AVAILABLE: the sender's code for "no value". RANGE: outside the
+    DBC's range. SATURATED: at the end of a signed range, so that the true value may lie beyond.
+    ABSENT: not in this frame (not selected by its multiplexer, or an unused column). NOT_A_NUMBER:
+    a float that is NaN or infinite, for which the core's code is RANGE.
     """
 
     VALID = VALID
@@ -44,7 +44,7 @@ class Validity(IntEnum):
 
 
 class Match(IntEnum):
-    """Whether a frame may be decoded, and if not why."""
+    """Whether a frame may be decoded, and if not, why."""
 
     OK = 0
     UNKNOWN_ID = 1
@@ -52,7 +52,7 @@ class Match(IntEnum):
     ERROR_FRAME = 3
     WRONG_LENGTH = 4
     WRONG_FORMAT = 5
-    """Classic where the DBC says FD, or the other way round."""
+    """A classic frame of an FD message of the DBC, or the other way round."""
 
 
 class DbcMismatch(Exception):
@@ -66,7 +66,7 @@ class DbcMismatch(Exception):
 
 
 class Reading(NamedTuple):
-    """One decoded signal. `value` is physical and means something only where VALID."""
+    """One decoded signal. `value` is physical, and must be used only if it is VALID."""
 
     raw: int | float
     value: float
@@ -109,15 +109,15 @@ class SignalSpec:
     def saturates(self) -> bool:
         """Whether the end values mean "or beyond".
 
-        Signed measured signals that have a not-available code, as the contract's do; a sender
-        that clamps then never passes a clipped number off as a measurement.
+        This holds for signed measured signals with a not-available code, as those of the contract:
+        if a sender clamps, the clipped number is never used as a measurement.
         """
         return self.is_signed and not self.is_float and self.not_available is not None
 
 
 @dataclass(frozen=True, slots=True)
 class MessageSpec:
-    """One message. `signals` in order of their position: the protection header comes first.
+    """One message. `signals` are in the order of their position: the protection header is first.
 
     `kind` and `node` split the name: `Drive3_Motion` is ("Motion", 3), `Gateway_Faults` is
     ("Faults", 0), any other name is its own kind. `data_ids`: 16 bytes for P02, the 16-bit id
@@ -142,7 +142,7 @@ class MessageSpec:
 
     @property
     def is_optional(self) -> bool:
-        """Whether the gateway sends it only where its configuration asks for it."""
+        """Whether the gateway sends the message only if its configuration asks for it."""
         return self.is_gateway and self.kind == "Adhesion" and self.node > 0
 
     @property

@@ -1,4 +1,4 @@
-"""Text that others wrote: quoted in a message of ours, or read as TOML."""
+"""Text from outside: quoted in our own messages, decoded, or parsed as TOML."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from typing import Any, Final
 
 MOST: Final = 1000
 MOST_BYTES: Final = 64 << 20
-"""Of a configuration, a scenario or a DBC: a device such as /dev/zero has no end."""
+"""Largest configuration, scenario or DBC: a device such as /dev/zero has no end."""
 
 _COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class TomlError(ValueError):
-    """Text that is no TOML, or TOML that cannot be held; one line says why."""
+    """Text that is not TOML, or TOML that cannot be represented; the message is one line."""
 
 
 def printable(text: str, most: int = MOST) -> str:
     """The text with control characters and line ends escaped, its middle left out beyond `most`.
 
-    A file that is refused is quoted in the refusal: an escape sequence in it must not reach the
-    terminal or the journal, nor a line end make two messages of one.
+    The message that rejects a file quotes it. An escape sequence in the file must not reach the
+    terminal or the journal, and a line end must not split the message in two.
     """
     if len(text) > most:
         text = f"{text[: most // 2]} .. {text[-(most // 2) :]}"
@@ -36,12 +36,12 @@ def printable(text: str, most: int = MOST) -> str:
 
 
 def without_colours(text: str) -> str:
-    """The text without what makes a terminal change its colour (`candump -c`)."""
+    """The text without the escape sequences for terminal colours (`candump -c`)."""
     return _COLOUR.sub("", text) if "\x1b" in text else text
 
 
 def read_bytes(path: Path) -> bytes:
-    """A whole file. Raises OSError, for one of more than `MOST_BYTES` too."""
+    """A whole file. Raises OSError, also if it has more than `MOST_BYTES`."""
     with path.open("rb") as file:
         content = file.read(MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
@@ -50,21 +50,21 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decoded(data: bytes) -> str:
-    """The text of a DBC: UTF-8, with or without a mark, where it is valid; else cp1252.
+    """The text of a DBC: valid UTF-8, with or without a byte order mark; else cp1252.
 
-    UTF-16 with its mark is read, too.
+    UTF-16 with a byte order mark is decoded, too.
     """
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return data.decode("utf-16", "replace")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # Five bytes have no meaning in cp1252; Windows takes them for control characters.
+        # The five bytes not defined in cp1252 become replacement characters.
         return "".join(bytes([b]).decode("cp1252", "replace") if b > 127 else chr(b) for b in data)
 
 
 def without_mark(chunks: Iterable[bytes]) -> Iterator[bytes]:
-    """A file's text without a byte order mark; UTF-16, as Windows' shells write it, as UTF-8."""
+    """Yield a file without its byte order mark; UTF-16, which Windows shells write, as UTF-8."""
     pieces = iter(chunks)
     first = next(pieces, b"")
     if first[:2] not in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
@@ -78,7 +78,7 @@ def without_mark(chunks: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def toml_text(content: bytes) -> str:
-    """The text of a TOML file. Raises TomlError with the cure where it is no UTF-8."""
+    """The text of a TOML file. Raises TomlError with the cure if it is not UTF-8."""
     if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         raise TomlError("UTF-16, as some Windows programs save; save it as UTF-8")
     try:
@@ -95,8 +95,8 @@ def toml_text(content: bytes) -> str:
 def read_toml(text: str) -> dict[str, Any]:
     """Parse TOML. Raises TomlError only.
 
-    `tomllib` lets others escape: RecursionError where brackets are nested some hundred deep, and a
-    bare ValueError for whole numbers of more than 4,300 digits.
+    `tomllib` also raises other exceptions: RecursionError if brackets are nested some hundred deep,
+    and a bare ValueError for whole numbers of more than 4,300 digits.
     """
     try:
         return tomllib.loads(text)

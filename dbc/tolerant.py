@@ -1,7 +1,7 @@
-"""Whatever of a DBC can be used, and a list of what cannot, with line and reason.
+"""Read the usable part of a DBC, and list the rest with line and reason.
 
-For DBCs of others: one entry that is wrong costs that entry. Our own message set is read by
-`dbc.load.read`, to which one objection is enough.
+This is for foreign DBCs: a wrong entry only costs that entry. `dbc.load.read` reads our own message
+set, which a single objection makes unusable.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 
 def read_any_dbc(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
-    """Messages that can be used, numbered, and what is left out or changed of the others.
+    """The usable messages, numbered, and notes on all that is left out or changed.
 
-    Raises DbcMismatch if there is no such file, or nothing of a DBC in it.
+    Raises DbcMismatch if there is no such file, or no DBC entry in it.
     """
     database, entries = _read(path)
     lines = entries.lines()
@@ -52,7 +52,7 @@ def read_any_dbc(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
 
 
 def database_of(path: Path) -> Database:
-    """The file by cantools, without entries that it does not take. Raises DbcMismatch."""
+    """The file as cantools reads it, without entries that it rejects. Raises DbcMismatch."""
     return _read(path)[0]
 
 
@@ -71,7 +71,7 @@ def _read(path: Path) -> tuple[Database, Entries]:
 
 
 class _Reasons:
-    """Why signals cannot be used, by what their file says of them."""
+    """Reasons in the file why signals cannot be used, by message."""
 
     def __init__(self, entries: Entries) -> None:
         self._long = entries.long_names()
@@ -80,7 +80,7 @@ class _Reasons:
         self._multiplexed = self._by_message(dict.fromkeys(entries.multiplexed, ""))
 
     def for_message(self, spec: MessageSpec) -> tuple[dict[str, str], frozenset[str]]:
-        """By name the reasons; names of those that are listed already."""
+        """The reasons by signal name, and the names of the signals that are listed already."""
         reasons = dict(self._unusable.get(spec.key, {}))
         marked = self._multiplexed.get(spec.key, {})
         for signal in spec.signals:
@@ -99,9 +99,9 @@ class _Reasons:
 def _usable(
     spec: MessageSpec, unusable: dict[str, str], listed: frozenset[str]
 ) -> tuple[MessageSpec, list[str]]:
-    """The message without signals that cannot be decoded, and those that hang on them.
+    """The message without signals that cannot be decoded or are multiplexed by such a signal.
 
-    listed: those of them that need not be listed again.
+    Returns it with the problems; listed: signals that must not be listed again.
     """
     reasons = dict(unusable)
     for name, count in Counter(signal.name for signal in spec.signals).items():
@@ -119,12 +119,12 @@ def _usable(
         reasons |= {name: f"is multiplexed by {parent}" for name, parent in lost.items()}
     problems = [f"{spec.name}.{name}: {why}" for name, why in reasons.items()
                 if name not in listed]  # fmt: skip
-    # What protects it may be among them; nothing is checked in a file of others.
+    # The dropped signals may include the E2E header; a foreign file is not checked anyway.
     return replace(spec, signals=tuple(kept), profile=Profile.NONE, data_ids=b""), problems
 
 
 def _hangs(name: str, parents: dict[str, str | None]) -> bool:
-    """Whether its selector is not there, or is itself."""
+    """Whether the signal's chain of selectors is broken or is a loop."""
     seen = {name}
     at = parents[name]
     while at is not None:
@@ -136,7 +136,7 @@ def _hangs(name: str, parents: dict[str, str | None]) -> bool:
 
 
 def _named(specs: list[MessageSpec]) -> tuple[list[MessageSpec], list[str]]:
-    """Messages whose names differ."""
+    """The messages with distinct names, and a note for each that is renamed."""
     taken: set[str] = set()
     out, notes = [], []
     for spec in specs:
@@ -151,6 +151,6 @@ def _named(specs: list[MessageSpec]) -> tuple[list[MessageSpec], list[str]]:
 
 
 def _placed(lines: dict[str, int], fault: str) -> str:
-    """With its line in front."""
+    """The fault, with its line in front if that is known."""
     line = lines.get(fault.partition(":")[0])
     return f"line {line}: {fault}" if line else fault

@@ -1,4 +1,4 @@
-"""The line of a TOML file in which a key stands: for messages about it."""
+"""Line numbers of the keys of a TOML file, for messages about them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _WORDS: Final = re.compile(r"[^.\[\]]+")
 
 
 def numbered(problems: Iterable[str], text: str) -> list[str]:
-    """Each problem with the line of its key, or of the table that should have it.
+    """Each problem with the line of its key, or of the table that should have the key.
 
-    A problem begins with the path of its key, `drive.0.node: ..` or `event[0].at_s: ..`; one
-    without a path that stands in the text is returned as it is.
+    A problem begins with the path of its key, `drive.0.node: ..` or `event[0].at_s: ..`; if no
+    part of the path is in the text, the problem is returned unchanged.
     """
     lines = lines_of(text)
     out = []
@@ -34,7 +34,7 @@ def numbered(problems: Iterable[str], text: str) -> list[str]:
 def lines_of(text: str) -> dict[KeyPath, int]:
     """Line of each table and key, by its path; tables of an array are numbered from 0.
 
-    A text of several lines that looks like TOML is taken for TOML: good enough for a message.
+    Lines inside a multi-line string that look like TOML count as TOML: good enough for a message.
     """
     lines: dict[KeyPath, int] = {}
     counts: dict[KeyPath, int] = {}
@@ -45,7 +45,7 @@ def lines_of(text: str) -> dict[KeyPath, int]:
             table = ()
             for k, part in enumerate(parts):
                 table += (part,)
-                # What follows belongs to the last table of an array so far.
+                # The rest of the path belongs to the last table of the array so far.
                 if table in counts and (header[1] == "[" or k + 1 < len(parts)):
                     table += (str(counts[table]),)
             if header[1] == "[[":

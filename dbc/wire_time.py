@@ -1,4 +1,4 @@
-"""How long frames really are on the wire: every stuff bit of their own content counted.
+"""Length of frames on the wire in bits, with the stuff bits that their content needs.
 
 Classic CAN: ISO 11898-1, 11-bit and 29-bit identifiers, CRC-15. CAN FD: dynamic stuff bits up to
 the end of the data, then the stuff count and a CRC of 17 or 21 bits with fixed stuff bits. Bits
@@ -20,7 +20,7 @@ CRC15: Final = 0x4599
 CLASSIC_TAIL: Final = 1 + 2 + 7 + 3
 """CRC delimiter, acknowledge and its delimiter, end of frame, intermission."""
 FD_TAIL: Final = 2 + 7 + 3
-"""The same after the CRC delimiter, which is still at the data rate."""
+"""The same without the CRC delimiter, which is still at the data rate."""
 
 Bits = NDArray[np.uint8]
 """(B, n): a row for each bit on the wire, a column for each frame."""
@@ -30,7 +30,7 @@ Counts = NDArray[np.int64]
 def bits_of(frames: Sequence[Frame]) -> tuple[Counts, Counts]:
     """Bits of n data frames, each (n,), at the nominal and the data bit rate, stuff bits included.
 
-    Raises ValueError for a length that is none.
+    Raises ValueError for a length that CAN FD does not have.
     """
     nominal, data = np.zeros((2, len(frames)), np.int64)
     alike = defaultdict(list)
@@ -49,7 +49,7 @@ def bits_of(frames: Sequence[Frame]) -> tuple[Counts, Counts]:
 
 
 def _classic(head: Bits, body: Bits, length: int) -> Counts:
-    # Remote request, then (with 29 bits: two reserved ones; with 11: extension, reserved) all 0.
+    # RTR, then two reserved bits (29-bit identifier) or IDE and a reserved bit (11-bit): all 0.
     bits = np.vstack([head, _same(f"000{length:04b}", head), body])
     bits = np.vstack([bits, _columns(_crc15(bits), 15)])
     return len(bits) + _stuffed(bits)[0] + CLASSIC_TAIL
@@ -62,7 +62,7 @@ def _fd(head: Bits, body: Bits, length: int, flags: int) -> tuple[Counts, Counts
     # 11 bits: RRS, IDE, FDF, res, BRS; 29 bits: RRS, FDF, res, BRS.
     control = f"010{switch}" if flags & EXTENDED else f"0010{switch}"
     head = np.vstack([head, _same(control, head)])
-    # Error state, length, data.
+    # ESI, length code, data.
     body = np.vstack([_same(f"0{sorted(FD_LENGTHS).index(length):04b}", head), body])
     # At the end of the data a fixed stuff bit takes the place of a dynamic one.
     stuffed, in_head = _stuffed(np.vstack([head, body])[:-1], len(head))
@@ -84,7 +84,7 @@ def _start(frames: Sequence[Frame], *, extended: bool) -> Bits:
 
 
 def _columns(values: Counts, width: int) -> Bits:
-    """(width, n): the bits of n numbers, the highest first."""
+    """(width, n): the bits of n numbers, most significant first."""
     return (values >> np.arange(width - 1, -1, -1)[:, None] & 1).astype(np.uint8)
 
 
@@ -104,7 +104,7 @@ def _stuffed(bits: Bits, head: int = 0) -> tuple[Counts, Counts]:
         count += full
         if k < head:
             in_head += full
-        # A stuff bit is the other one, and the first of its run.
+        # A stuff bit is the complement, and the first bit of its run.
         run[full] = 1
         last = bit ^ full
     return count, in_head

@@ -1,4 +1,4 @@
-"""Pieces of candump text as blocks: dbc/candump_read.c reads most lines, and marks the others."""
+"""Read candump text as blocks: dbc/candump_read.c reads most lines, and marks the others."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from dbc.frames import MAX_DATA_BYTES, Block, blank
 from dbc.records import INTERFACE_NAME, pointer, zeros
 
 ROWS: Final = 1 << 15
-"""Most lines of a block."""
+"""Largest number of lines of a block."""
 _NAMES_KEPT: Final = 40_000
-"""Interface names that a hostile log may fill before they are forgotten."""
+"""Interface names kept before all are dropped; a hostile log may have any number of them."""
 
 
 class LineKind(IntEnum):
-    """What a line is, as far as dbc/candump_read.c decides. Only the first two have a frame."""
+    """Kind of a line as far as dbc/candump_read.c decides it. Only the first two have a frame."""
 
     CLASSIC = lib.LINE_CLASSIC
     FD = lib.LINE_FD
     OTHER = lib.LINE_OTHER
-    """For `logline.parse_line`."""
+    """Left to `grammar.parse_line`."""
     BLANK = lib.LINE_BLANK
     COMMENT = lib.LINE_COMMENT
     MALFORMED = lib.LINE_MALFORMED
@@ -35,9 +35,9 @@ class LineKind(IntEnum):
 class Lines(NamedTuple):
     """n consecutive lines of a text.
 
-    rows: a row per line, with numbers where there is a frame; kind (n,): `LineKind`; start
-    (n + 1,): where each line starts, and where the next one would; tail (n,): characters after
-    the `#`.
+    rows: a row per line, filled only for lines with a frame; kind (n,): `LineKind`; start (n + 1,):
+    position of each line, and of the one that follows; tail (n,): number of characters after the
+    `#`.
     """
 
     rows: Block
@@ -47,7 +47,7 @@ class Lines(NamedTuple):
 
     @property
     def end(self) -> int:
-        """Place behind the last line."""
+        """Position behind the last line."""
         return self.start.item(-1)
 
     def line(self, text: bytes, k: int) -> bytes:
@@ -56,15 +56,15 @@ class Lines(NamedTuple):
 
 
 class Scanner:
-    """Scans texts one after the other; remembers interface names and the lines' shapes."""
+    """Scans texts one after the other; keeps interface names and the length of lines per id."""
 
     def __init__(self) -> None:
-        """Nothing seen yet."""
+        """Start without names and lines."""
         self.names: list[str] = []
         self.tails = np.full(0x800, -1, dtype=np.int64)
-        """Characters after the `#` in the last line of each 11-bit identifier; -1 none."""
+        """Characters after the `#` in the last line of each 11-bit identifier; -1: no line yet."""
         self._names = zeros(lib.CANDUMP_NAMES, INTERFACE_NAME)
-        """The first of `names`, as dbc/candump_read.c looks them up."""
+        """The first of `names`, in the form in which dbc/candump_read.c looks them up."""
 
     def read(self, text: bytes, start: int) -> Lines:
         """At most `ROWS` complete lines from text[start:] on; none if there is no line end."""
@@ -87,7 +87,7 @@ class Scanner:
         return Lines(rows, kind[:n], places[: n + 1], tail)
 
     def put(self, lines: Lines, k: int, frame: Frame, line: bytes) -> None:
-        """Enter the frame of a line that was not plain."""
+        """Store in row k the frame of a line that `grammar.parse_line` has read."""
         rows = lines.rows
         digits, lines.tail[k] = tail_of(line)
         rows.t_ns[k], rows.can_id[k], rows.flags[k] = frame.t_ns, frame.can_id, frame.flags
@@ -108,9 +108,9 @@ class Scanner:
         return self.names.index(name)
 
     def finish(self, lines: Lines, kept: NDArray[np.bool_]) -> Block:
-        """The kept rows as a block; their shapes are remembered."""
+        """The kept rows as a block; the lengths of their lines go into `tails`."""
         rows, tail = lines.rows, lines.tail
         standard = kept & (rows.flags & EXTENDED == 0) & (tail >= 0)
-        # Of an identifier that comes twice the last one stands.
+        # If an identifier occurs twice, its last line counts.
         self.tails[rows.can_id[standard]] = tail[standard]
         return rows if kept.all() else rows.pick(kept)

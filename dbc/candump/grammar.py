@@ -5,8 +5,8 @@ many at once; dbc/candump_write.c writes lines.
 
 The grammar is that of can-utils (lib.h, candump.c): six or nine decimals, a padded interface name,
 classic, FD, remote and error frames, `_E` raw lengths, CAN XL (recognised, not decoded),
-`DROPCOUNT:` lines, the ` R`/` T` suffix of `-x`. Stricter than can-utils in one way: what is not
-exactly a frame is not made into one.
+`DROPCOUNT:` lines, the ` R`/` T` suffix of `-x`. It is stricter than can-utils in one way: text
+that is not exactly a frame is rejected.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from _traction_core import ffi, lib
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, TX, Frame
 
 MAX_LINE: Final = 8192
-"""Longer than any frame (CAN XL has 4,120 characters): such a line is skipped, not collected."""
+"""Most characters of a line (CAN XL needs 4,120); a longer line is skipped without being kept."""
 
 
 class Verdict(IntEnum):
-    """What one line is. The first four come with a frame; those from CUT to BAD_ID are faults."""
+    """Verdict on one line. The first four come with a frame; CUT to BAD_ID are faults."""
 
     OK = 0
     """Classic data frame."""
@@ -43,19 +43,19 @@ class Verdict(IntEnum):
     """Unterminated last line that may be the start of a longer one."""
     MALFORMED = 9
     BAD_LENGTH = 10
-    """More data than the format has, or a length FD does not have."""
+    """More data than the format allows, or a length that CAN FD does not have."""
     BAD_ID = 11
-    """More bits than an identifier has."""
+    """An identifier with too many bits."""
     HEADER = 12
-    """A line about the log itself; of other formats than candump's, as those below."""
+    """A line about the log itself. This one and those below do not occur in candump logs."""
     EVENT = 13
-    """No frame: a status, a counter, a marker, another kind of bus."""
+    """A line without a CAN frame: a status, a counter, a marker, another kind of bus."""
     REQUEST = 14
-    """A frame that was to be sent; that it was on the bus is another line."""
+    """A request to send a frame; if the frame was on the bus, another line records it."""
 
     @property
     def is_fault(self) -> bool:
-        """True where something is lost: strict reading stops there."""
+        """True if data are lost: strict reading stops there."""
         return Verdict.CUT <= self <= Verdict.BAD_ID
 
 
@@ -84,10 +84,10 @@ _NAMED: Final = re.compile(_NAME)
 
 
 def parse_line(line: bytes) -> tuple[Verdict, Frame | None]:
-    """Judge one line, with or without its line end. Never raises.
+    """Parse one line, with or without its line end. Never raises.
 
     The frame comes with OK, FD, REMOTE and ERROR_FRAME only. Interface names that are not
-    UTF-8 keep their bytes as surrogates, so that writing gives them back.
+    UTF-8 keep their bytes as surrogates, so that they can be written back unchanged.
     """
     text = line[:-1] if line.endswith(b"\n") else line
     text = text[:-1] if text.endswith(b"\r") else text
@@ -114,7 +114,7 @@ def _no_frame(text: bytes) -> Verdict:
 
 
 def _frame(t_ns: int, channel: str, parts: re.Match[bytes]) -> tuple[Verdict, Frame | None]:
-    """The frame of a line whose grammar fits; numbers are checked here."""
+    """The frame of a line that matches the grammar; its numbers are checked here."""
     can_id = int(parts["id"], 16)
     flags = 0
     if len(parts["id"]) == 8:
@@ -127,7 +127,7 @@ def _frame(t_ns: int, channel: str, parts: re.Match[bytes]) -> tuple[Verdict, Fr
 
     if parts["remote"] is not None:
         dlc = int(parts["request"] or b"0")
-        # A raw length stands only behind the full one, and no error frame is remote.
+        # A raw length follows only the full length of 8, and an error frame is never remote.
         if flags & ERROR or (parts["raw"] is not None and dlc != 8):
             return Verdict.MALFORMED, None
         dlc = int(parts["raw"], 16) if parts["raw"] else dlc
@@ -164,11 +164,11 @@ def tail_of(line: bytes) -> tuple[bytes, int]:
 
 
 def format_frame(frame: Frame, channel: str = "can0") -> bytes:
-    """One line without its end: `(sec.usec) name id#data`; nine decimals where they are needed.
+    """One line without its end: `(sec.usec) name id#data`; nine decimals only if they are needed.
 
-    `channel` stands in where the frame has none. Everything `parse_line` reads comes back, the
-    error class, a remote frame's length and ` T` (sent) included. Raises ValueError for what no
-    candump line can say (negative time, impossible id, length or name). See dbc/candump_write.c.
+    `channel` is used if the frame has none. Everything that `parse_line` reads is written, error
+    class, length of a remote frame and ` T` (sent) included. Raises ValueError for a frame that no
+    candump line can hold (negative time, impossible id, length or name). See dbc/candump_write.c.
     """
     t_ns, can_id, data, flags, own, dlc = frame
     text = ffi.new("char[]", lib.CANDUMP_MAX_TEXT)
@@ -184,7 +184,7 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
 
 
 def not_writable(frame: Frame) -> ValueError:
-    """The error for a frame that no line can say."""
+    """The error for a frame that no candump line can hold."""
     return ValueError(f"cannot be written as a candump line: {frame}")
 
 
@@ -196,6 +196,6 @@ def _name_record(channel: str) -> Any:
 
 @lru_cache(maxsize=64)
 def name_bytes(channel: str) -> bytes:
-    """A channel as it stands in a line; empty where no line can have it."""
+    """Bytes of a channel's name in a line; empty if no line can hold this name."""
     name = channel.encode("utf-8", "surrogateescape")
     return name if _NAMED.fullmatch(name) else b""

@@ -1,7 +1,7 @@
-"""Strict reader and writer of candump logs (`candump -l`, `-L`): files <-> frames.
+"""Strict reader of candump logs (`candump -l`, `-L`).
 
-Every line gets one verdict (see `dbc.candump.grammar`), time is integer nanoseconds, and nothing
-here raises on bytes (in strict mode: LogError with the line number).
+Every line gets one verdict (see `dbc.candump.grammar`), and time is integer nanoseconds. No
+content of a log raises an exception, except in strict mode: LogError with the line number.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from dbc.text import printable, without_mark
 PROBLEMS_KEPT: Final = 100
 _CHUNK: Final = 1 << 20
 _PIECE, _SMALL = 1 << 18, 1 << 12
-"""Bytes unpacked at once: each time both threads want the interpreter; and where one is damaged."""
+"""Compressed bytes unpacked per call: many, as each call contends for the GIL; few in damage."""
 _IDS_KEPT: Final = 100_000
 _LINE_ENDS: Final = re.compile(rb"\n+")
 _VERDICTS: Final = np.array(
     [Verdict.OK, Verdict.FD, Verdict.OK, Verdict.BLANK, Verdict.COMMENT, Verdict.MALFORMED],
     dtype=np.uint8,
 )
-"""Of lines by their `LineKind`; those of kind OTHER are judged one by one."""
+"""Verdict of a line by its `LineKind`; lines of kind OTHER are parsed one by one."""
 _TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
 
 
 class LogError(Exception):
-    """A log that cannot be read (on); `line` counts from 1, 0 where there are no lines."""
+    """A log that cannot be read, or not further; `line` counts from 1, 0 for logs without lines."""
 
     def __init__(self, source: str, line: int, why: str) -> None:
-        """`why` in one line, without source and line."""
+        """`why`: the reason in one line, without source and line number."""
         self.line = line
         super().__init__(f"{source}:{line}: {why}" if line else f"{source}: {why}")
 
@@ -61,20 +61,20 @@ class Problem(NamedTuple):
 
 
 class LogReader:
-    """Frames of a log, in file order: data, remote and error frames, told apart by flags.
+    """Frames of a log, in file order: data, remote and error frames, distinguished by flags.
 
-    After reading: `counts` (Verdict -> lines or objects; their sum is `lines`), `problems` (the
-    first 100 faults), `drops` (frames candump says it lost), `truncated` (why the log ended early,
-    else ""), `notes` (what else is to be known about it); during it they are those of everything up
-    to the end of the block that was last read. Memory does not grow with the file. Each iteration
-    of a path starts anew.
+    After reading: `counts` (lines or objects per Verdict; their sum is `lines`), `problems` (the
+    first 100 faults), `drops` (lost frames that candump reports), `truncated` (why the log ended
+    early, else ""), `notes` (other remarks on the log). While reading, they cover everything up to
+    the end of the last block. Memory does not grow with the file. Each iteration of a path starts
+    anew.
     """
 
     unit = "lines"
-    """What `lines` counts."""
+    """Unit of `lines`."""
 
     def __init__(self, name: str, *, strict: bool) -> None:
-        """name: of the log, for errors. Nothing is opened before iteration."""
+        """name: name of the log in errors. Nothing is opened before iteration."""
         self.name, self.strict = name, strict
         self._reset()
 
@@ -82,13 +82,13 @@ class LogReader:
         self.counts: Counter[Verdict] = Counter()
         self.lines = self.drops = 0
         self.bytes_read = 0
-        """Of the file as it stands (compressed or not), for a progress bar."""
+        """Bytes read of the file as stored (compressed or not), for a progress bar."""
         self.problems: list[Problem] = []
         self.truncated = ""
         self.notes: list[str] = []
 
     def blocks(self) -> Iterator[Block]:
-        """Read from the start. Raises LogError for no such log; with `strict`, at a fault."""
+        """Read from the start. Raises LogError for another format; with `strict`, at a fault."""
         raise NotImplementedError
 
     def __iter__(self) -> Iterator[Frame]:
@@ -105,12 +105,12 @@ class LogReader:
 
 
 class Reader(LogReader):
-    """`source` is a path (gzip is recognised by its first bytes) or a binary stream.
+    """Reader of a path (gzip is recognised by its first bytes) or a binary stream, `source`.
 
     An unterminated last line may be the start of a longer one: a frame cut inside its data is
-    a perfectly good shorter frame. It is believed only if the last frame of the same id had
-    the same number of characters after the id; else its verdict is CUT. So a log of one frame
-    without a line end gives none, and says so.
+    a valid shorter frame. It is accepted only if the last frame of the same id had the same
+    number of characters after the id; else its verdict is CUT. So a log of one frame without
+    a line end yields no frame, and counts one CUT.
 
     Raises OSError if the file cannot be opened; with `strict`, LogError at the first fault.
     """
@@ -122,7 +122,7 @@ class Reader(LogReader):
         super().__init__(name, strict=strict)
 
     def blocks(self) -> Iterator[Block]:
-        """Read from the start, in blocks of lines: the same frames, faster."""
+        """Read from the start, in blocks: the same frames as by iteration, but faster."""
         self._reset()
         with ExitStack() as stack:
             yield from self._blocks(without_mark(self._chunks(stack)))
@@ -144,7 +144,7 @@ class Reader(LogReader):
                 self._judge(_TOO_LONG, tails)
             while True:
                 if (run := _LINE_ENDS.match(piece, start)) is not None:
-                    # Gigabytes of them pack into a megabyte.
+                    # Counted at once: gigabytes of line ends compress into a megabyte.
                     self.lines += run.end() - start
                     self.counts[Verdict.BLANK] += run.end() - start
                     start = run.end()
@@ -169,7 +169,7 @@ class Reader(LogReader):
     def _accept(
         self, scanner: Scanner, lines: Lines, text: bytes, tails: dict[bytes, int]
     ) -> tuple[Block, LogError | None]:
-        """Judge the lines that are not plain; all frames, or those before the fault."""
+        """Parse the lines that are not plain; return all frames, or those before a fault and it."""
         kind = lines.kind
         kept = kind <= LineKind.FD
         by_hand = kind == LineKind.OTHER
@@ -211,10 +211,10 @@ class Reader(LogReader):
             self.bytes_read += len(chunk)
 
     def _unzipped(self, chunk: bytes, stream: IO[bytes]) -> Iterator[bytes]:
-        """Members of a gzip file; what can be unpacked of a cut one is given, then it ends.
+        """Yield the members of a gzip file; of a truncated one, all that can be unpacked.
 
-        By hand, because gzip.GzipFile loses what it has unpacked when it meets the cut. A damaged
-        piece is lost whole, so it is tried again in small ones.
+        zlib is used directly, because gzip.GzipFile discards what it has unpacked when it reaches
+        the cut. zlib loses a damaged piece whole, so it is unpacked again in small pieces.
         """
         unpack = zlib.decompressobj(wbits=31)
         pending = memoryview(chunk)
@@ -255,7 +255,7 @@ class Reader(LogReader):
         yield b"".join(done)
 
     def _last(self, rest: bytes, tails: dict[bytes, int]) -> Frame | None:
-        """What stands behind the last line end."""
+        """The frame of the text behind the last line end, if it is accepted."""
         if rest:
             return self._judge(rest, tails, last=True)
         if self.truncated:
@@ -263,10 +263,10 @@ class Reader(LogReader):
         return None
 
     def _judge(self, line: bytes, tails: dict[bytes, int], *, last: bool = False) -> Frame | None:
-        """Verdict, count and frame of a line that is judged by itself."""
+        """Parse one line, count its verdict, and return its frame."""
         verdict, frame = parse_line(line)
         if last and self.truncated:
-            # Whatever it looks like: more would have come, and strict reading must say so.
+            # Whatever the line looks like, data are missing, and strict reading must report it.
             verdict, frame = Verdict.CUT, None
         elif last and verdict not in (Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT):
             verdict, frame = _unterminated(line, verdict, frame, tails)
@@ -289,7 +289,7 @@ class Reader(LogReader):
 def _unterminated(
     line: bytes, verdict: Verdict, frame: Frame | None, tails: dict[bytes, int]
 ) -> tuple[Verdict, Frame | None]:
-    """Believe an unterminated last line only if its like was seen before, else CUT."""
+    """Accept an unterminated last line only if the last one of its id was as long, else CUT."""
     if frame is not None:
         digits, tail = tail_of(line)
         if tails.get(digits) == tail:

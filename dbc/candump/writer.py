@@ -1,4 +1,4 @@
-"""Writes candump logs: frames, or blocks of them, to a file or a stream."""
+"""Write candump logs: frames, or blocks of them, to a file or a stream."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from dbc.frame import Frame
 from dbc.frames import MAX_DATA_BYTES, Block
 
 _LINES: Final = 512
-"""That there is room for at once."""
+"""Number of the longest lines that the text buffer holds."""
 
 
 class NotWritableError(ValueError):
-    """No line can say a frame of a block: `row`. Those before it are written."""
+    """Frame `row` of a block cannot be written as a line; those before it are written."""
 
     def __init__(self, row: int, text: str) -> None:
-        """`text` says what is wrong."""
+        """`text`: the message, without the row."""
         self.row = row
         super().__init__(text)
 
@@ -49,16 +49,16 @@ class Writer(AbstractContextManager["Writer"]):
             self._stream = target
 
     def write(self, frame: Frame, channel: str = "") -> None:
-        """Append one frame, `channel` standing in where it has none.
+        """Append one frame; `channel` is used if the frame has none.
 
         Raises ValueError (see `format_frame`) or OSError.
         """
         self._stream.write(format_frame(frame, channel or self._channel) + b"\n")
 
     def write_block(self, block: Block, channel: str = "") -> None:
-        """Append the frames of a block, as `write` does one by one; much sooner.
+        """Append the frames of a block; much faster than `write` frame by frame.
 
-        Raises NotWritableError at the first that no line can say.
+        Raises NotWritableError at the first frame that no line can hold.
         """
         if not block.size:
             return
@@ -72,14 +72,14 @@ class Writer(AbstractContextManager["Writer"]):
             )
             self._stream.write(ffi.unpack(self._text, filled[0]))
             if row < block.size and not filled[0]:
-                # A block keeps no more than this of a frame, and what is cut would look whole.
+                # A block keeps no more bytes of a frame; written, the cut frame would look whole.
                 if block.length[row] > MAX_DATA_BYTES:
                     msg = f"cannot be written as a candump line: more than {MAX_DATA_BYTES} bytes"
                     raise NotWritableError(row, msg)
                 raise NotWritableError(row, str(not_writable(block.frame(row))))
 
     def close(self) -> None:
-        """Flush and close what was opened here; a given stream stays open."""
+        """Flush and close a file that this object opened; a given stream stays open."""
         self._stack.close()
 
     def __exit__(self, *error: object) -> None:

@@ -1,1 +1,1 @@
-"""Logs of CAN frames in the formats of others: read into blocks; what cannot be read is counted."""
+"""Logs of CAN frames in foreign formats, read into blocks; what cannot be read is counted."""

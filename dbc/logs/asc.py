@@ -1,9 +1,9 @@
-"""Vector's ASC: what its lines say.
+"""Vector's ASC: the format of its lines.
 
-Own, because python-can's reader eats the line behind a short header, takes `timestamps relative`
-for absolute, drops lines before the trigger, and stops at what it does not know
+This module exists because python-can's reader loses the line behind a short header, takes
+`timestamps relative` for absolute, drops lines before the trigger, and stops at unknown lines
 (docs/upstream/asc.md).
-Times are those of the file: seconds since the first trigger, also behind a second one.
+Times are those of the file: seconds since the first trigger, also behind a second trigger.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _BASE: Final = re.compile(r"base\s+(hex|dec)\b(?:.*\btimestamps\s+(absolute|rela
 _TRIGGER: Final = re.compile(r"begin\s+triggerblock\b(.*)", re.I)
 _HEADER: Final = re.compile(r"date\b|end\s+triggerblock|(?:no\s+)?internal\s+events", re.I)
 _NUMBER: Final = re.compile(r"\bID\s*=\s*(\d+)(x?)(?!\w)", re.I)
-"""Of a frame, decimal; behind its data, where it may have a name."""
+"""Decimal identifier behind the data of a frame, whose identifier column may hold a name."""
 _NAMED: Final = re.compile(
     r"^\s*[\d.-]+\s+\d+\s+([A-Za-z_]\w*)\s+(?:[RT]x|TxRq)\b.*\bID\s*=\s*(\d+)(x?)(?!\w)",
     re.I | re.M,
@@ -51,7 +51,7 @@ _DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
 _SHAPE: Final = shape_of(SECOND, 0, 5, "d", 3)
 """Channel, identifier, direction, `d`, length."""
 _RTR, _EDL, _BRS, _ESI = 0x10, 0x1000, 0x2000, 0x4000
-"""Of the flags of a CANFD line."""
+"""Bits in the flags of a CANFD line."""
 
 
 class Asc(Format):
@@ -62,7 +62,7 @@ class Asc(Format):
     has_names = True
 
     def __init__(self) -> None:
-        """As a log without a header is: hexadecimal, with absolute times."""
+        """Start as for a log without a header: hexadecimal, with absolute times."""
         self._base = 16
         self._differences: Differences | None = None
         self._first: datetime | None = None
@@ -74,13 +74,13 @@ class Asc(Format):
         self.notes: list[str] = []
 
     def learn(self, text: str) -> None:
-        """What names stand for that could be read as hexadecimal numbers."""
+        """Learn the identifiers of names, which could be read as hexadecimal numbers."""
         if "ID =" in text:
             for name, number, extended in _NAMED.findall(text):
                 self._numbers[name] = int(number), EXTENDED if extended else 0
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """From the first trigger on: differences added up, times of later blocks moved."""
+        """Times since the first trigger: differences summed, times of later blocks shifted."""
         if not timed.any():
             return times
         if self._differences is not None:
@@ -95,25 +95,25 @@ class Asc(Format):
         return times
 
     def _block_ns(self, first_ns: int) -> int:
-        """How much later than the first block this one began, whose times begin anew."""
+        """Time from the first block to this one, whose times start again at its own trigger."""
         if self._first and self._block:
             return nanoseconds_between(self._first, self._block)
         self.notes.append("times begin anew at a date that is not understood: they go on at once")
         return self._latest_ns - first_ns
 
     def data(self, text: str, length: int) -> bytes:
-        """Bytes with blanks between, in the log's base."""
+        """Bytes with blanks between them, in the number base of the log."""
         if self._base == 16:
             return super().data(text, length)
         return bytes(map(int, text.split()))
 
     def whole(self, text: str) -> bool:
-        """A decimal byte may go on."""
+        """False for decimal bytes, because a further digit may be missing."""
         del text
         return self._base == 16
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """`channel id direction d length` of a plain line."""
+        """Head from `channel id direction d length` of a plain line."""
         channel, name, direction, _, length = words_of(parts[0])
         if not channel.isdecimal() or direction not in ("Rx", "Tx", "TxRq"):
             return Head(0, verdict=Verdict.MALFORMED)
@@ -139,11 +139,11 @@ class Asc(Format):
             return None
 
     def changes(self, text: str) -> bool:
-        """Base and kind of time, and the start of a block."""
+        """True for a line with base and kind of time, and for the start of a block."""
         return bool(_BASE.match(text.strip()) or _TRIGGER.match(text.strip()))
 
     def line(self, text: str) -> Line:
-        """Header, event, remote, error or CAN FD frame, one with a name for an identifier."""
+        """Parse a header, an event, or a frame: remote, error, CAN FD, or with a name as id."""
         text = text.strip()
         if not text:
             return Line(Verdict.BLANK)
@@ -155,7 +155,7 @@ class Asc(Format):
                 t_ns = nanoseconds([match[1]]).item()
                 return self._timed(t_ns, words_of(match[2]), text)
             except (ValueError, OverflowError, IndexError):
-                # With its time: those of other lines may count from it.
+                # The time is kept, because those of later lines may be relative to it.
                 return Line(Verdict.MALFORMED, None, t_ns)
         if match := _BASE.match(text):
             self._base = 16 if match[1].lower() == "hex" else 10
@@ -192,7 +192,7 @@ class Asc(Format):
         sure = True
         if match := _NUMBER.search(text):
             number, flags = int(match[1]), EXTENDED if match[2] else 0
-            # At the end of the line digits may be missing.
+            # If the number ends the line, digits may be missing.
             sure = match.end() < len(text) or flags != 0 or (number, flags) == found
             found = number, flags
         if found is None:
@@ -215,7 +215,7 @@ class Asc(Format):
         return framed(head, t_ns, data, sure=sure and self._base == 16)
 
     def _fd(self, t_ns: int, words: list[str]) -> Line:
-        """`CANFD channel direction id [name] brs esi dlc length data duration bits flags ..`."""
+        """Parse `CANFD channel direction id [name] brs esi dlc length data duration bits flags`."""
         channel = _channel(words[1])
         if words[3].lower().startswith("errorframe"):
             return framed(Head(0, ERROR, 0, channel), t_ns, sure=True)
@@ -225,7 +225,7 @@ class Asc(Format):
             return Line(Verdict.REQUEST, None, t_ns)
         number, flags = int(words[3].rstrip("xX"), 16), EXTENDED if words[3][-1] in "xX" else 0
         flags |= _sent(words[2])
-        # A name may stand there, of any form.
+        # A name of any form may follow the identifier.
         at = 4 if words[4] in ("0", "1") and _fits(words, 6) else 5
         brs, esi, dlc, size = words[at], words[at + 1], int(words[at + 2], 16), int(words[at + 3])
         body = words[at + 4 : at + 4 + size]
@@ -235,7 +235,7 @@ class Asc(Format):
         sure = len(behind) > 3
         if bits & _RTR:
             return framed(Head(number, flags | REMOTE, 0, channel, dlc or -1), t_ns, sure=sure)
-        # Some recorders leave the flag out.
+        # Some recorders do not set the CAN FD flag.
         if bits & _EDL or size > CLASSIC_BYTES or "1" in (brs, esi):
             flags |= FD | (BRS if brs == "1" else 0) | (ESI if esi == "1" else 0)
         if FD_SIZES[dlc & 15] != size and (flags & FD or min(dlc, CLASSIC_BYTES) != size):
@@ -244,7 +244,7 @@ class Asc(Format):
 
 
 def _fits(words: list[str], at: int) -> bool:
-    """Whether a code of the length and the length stand here."""
+    """Whether the words at `at` are a length code and the length (or 0) that belongs to it."""
     try:
         return int(words[at + 1]) in (0, FD_SIZES[int(words[at], 16)])
     except (ValueError, IndexError):
@@ -256,5 +256,5 @@ def _sent(direction: str) -> int:
 
 
 def _channel(text: str) -> str:
-    """Vector counts from 1."""
+    """Channel counted from 0; Vector counts from 1."""
     return str(max(int(text) - 1, 0))

@@ -1,4 +1,4 @@
-"""Dates behind `Begin Triggerblock` of an ASC: in the language and order of the machine."""
+"""Dates behind `Begin Triggerblock` of an ASC, in the language and order of the recorder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MONTHS: Final = {
     )
     for name in names.split()
 }  # fmt: skip
-"""By the first letters, as Windows writes months in several languages."""
+"""Month by its first letters, as Windows writes them in several languages."""
 _TIME: Final = re.compile(r"\b(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d{1,9}))?\b")
 _NUMBERS: Final = (
     ("ymd", re.compile(r"\b(\d{4})[-./](\d{1,2})[-./](\d{1,2})\b")),
@@ -30,8 +30,8 @@ _FORENOON: Final = re.compile(r"(?<!\S)(?:a\.? ?m\b|vorm)", re.I)
 
 
 def date_of(text: str) -> datetime | None:
-    """Without a zone; None where it is in no language or order that is known."""
-    with suppress(UnicodeError):  # else cp1252, in which letters are those of latin-1
+    """Date and time without a zone; None if the language or order is not known."""
+    with suppress(UnicodeError):  # not UTF-8: cp1252, whose letters are those of latin-1
         text = text.encode("latin-1").decode("utf-8")
     clock = _TIME.search(text)
     day = _day_of(text[: clock.start()] + " " + text[clock.end() :]) if clock else None
@@ -59,12 +59,12 @@ def _day_of(text: str) -> tuple[int, int, int] | None:
     day, year = _DAY.search(text), _YEAR.search(text)
     if not (months and day and year):
         return None
-    # The last one: `mar` is also a day of the week.
+    # The last match is the month: `mar` is also a day of the week.
     return int(year[1]), months[-1], int(day[1])
 
 
 def nanoseconds_between(first: datetime, later: datetime) -> int:
-    """At least 0."""
+    """Time from `first` to `later` in nanoseconds, at least 0."""
     span = later - first
     us = (span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds
     return max(us, 0) * 1000

@@ -1,13 +1,13 @@
-"""Vector's BLF: its frames, and a count of every object that is none.
+"""Vector's BLF: its frames, and a count of all other objects.
 
-Own, because python-can's reader takes times before the trigger for the year 2554 and ends in a
-traceback, has them as floats, and passes over objects and a cut file in silence
-(docs/upstream/blf.md). The clock of the file's start is that of the recording machine, in no named
+This module exists because python-can's reader takes times before the trigger for the year 2554 and
+ends in a traceback, has times as floats, and does not report skipped objects or a truncated file
+(docs/upstream/blf.md). The start time of the file is that of the recording machine, without a time
 zone: it is read as UTC.
 
 An object may begin in one container and end in the next. Where a container is damaged, or bytes are
-missing, nothing is carried across: reading goes on with the next object that is whole, and what is
-lost is counted.
+missing, no part of an object is carried over: reading continues with the next whole object, and the
+loss is counted.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ from dbc.logs.objects import BLOCK, ObjectReader
 _SEARCH: Final = 1 << 16
 _YEARS: Final = range(1970, 2200)
 _PADDING: Final = 3
-"""The most bytes behind an object."""
+"""Most padding bytes behind an object."""
 _USUAL_BYTES: Final = 48
-"""Of an object: one with a classic frame."""
+"""Usual size of an object, that of one with a classic frame."""
 _LEAST_BYTES: Final = 16
 _MOST_PACKED: Final = 1032 // _LEAST_BYTES
-"""Objects in a byte of a file, at most: zlib packs 1032 bytes into one."""
+"""Most objects per byte of a file: zlib packs at most 1032 bytes into one."""
 
 
 class Blf(ObjectReader):
-    """One file."""
+    """Reader of one BLF file."""
 
     def blocks(self) -> Iterator[Block]:
         """See `ObjectReader.blocks`."""
@@ -92,7 +92,7 @@ class Blf(ObjectReader):
         return block
 
     def _items(self) -> Iterator[Frame | Block]:
-        """Frames, and runs of them. Raises LogError for what is no BLF."""
+        """Yield frames, and runs of them as blocks. Raises LogError if the file is not a BLF."""
         rest = b""
         with ExitStack() as stack:
             stream = self._open(stack)
@@ -111,7 +111,7 @@ class Blf(ObjectReader):
             self.truncated = self.truncated or found
 
     def _header(self, stream: IO[bytes]) -> None:
-        """Of the file: its start, how long it should be, and how many objects it should have."""
+        """Read the file's header: start time, expected size and expected number of objects."""
         head = self._read(stream, FILE.size)
         if len(head) < FILE.size or head[:4] != b"LOGG":
             raise LogError(self.name, 0, "cannot be read: no BLF (it does not begin with LOGG)")
@@ -125,7 +125,7 @@ class Blf(ObjectReader):
     def _read(self, stream: IO[bytes], size: int) -> bytes:
         try:
             data = stream.read(size)
-        except (EOFError, OSError, zlib.error) as error:  # of gzip
+        except (EOFError, OSError, zlib.error) as error:  # raised by gzip
             if not self.zipped:
                 raise
             self.truncated = f"compressed data end early or are damaged ({error})"
@@ -136,7 +136,7 @@ class Blf(ObjectReader):
     # ---- the file: containers, and objects that stand outside of them ------------------------
 
     def _contents(self, stream: IO[bytes]) -> Iterator[bytes | None]:
-        """Bytes of objects. None: bytes are missing here."""
+        """Yield the bytes of objects, and None where bytes are missing."""
         head = self._read(stream, BASE.size)
         while head:
             if len(head) < BASE.size:
@@ -170,7 +170,7 @@ class Blf(ObjectReader):
                 yield None
 
     def _go_back(self, stream: IO[bytes], back: int, packed: int) -> Iterator[None]:
-        """Over the end of a hole of so many bytes of the file."""
+        """Go back by `back` bytes, to the end of a hole of `packed` bytes of the file."""
         stream.seek(-back, 1)
         self.bytes_read -= back
         self._lost_bytes += self._when_unpacked(packed)
@@ -178,7 +178,7 @@ class Blf(ObjectReader):
         yield None
 
     def _resume(self, stream: IO[bytes]) -> Iterator[None]:
-        """Go from a head that is none to the next object, or to the end."""
+        """Go from an invalid object header to the next object, or to the end of the file."""
         at, back = self.bytes_read - BASE.size, BASE.size + _PADDING
         stream.seek(-back, 1)
         self.bytes_read -= back
@@ -200,7 +200,7 @@ class Blf(ObjectReader):
         yield None
 
     def _unpacked(self, body: bytes, *, is_cut: bool) -> Iterator[bytes | None]:
-        """Content of a container, if its checksum is right or the file ends in it."""
+        """Yield the content of a container if it is intact or the file ends in it; None if lost."""
         if len(body) < CONTAINER.size:
             return
         method, declared = CONTAINER.unpack_from(body)
@@ -228,13 +228,13 @@ class Blf(ObjectReader):
         yield None
 
     def _when_unpacked(self, packed: int) -> int:
-        """So many bytes of the file, as the containers so far are packed."""
+        """Unpacked size of `packed` bytes of the file, estimated from the containers so far."""
         return packed * self._unpacked_bytes // max(self._packed_bytes, 1) or packed
 
     # ---- objects ------------------------------------------------------------------------------
 
     def _objects(self, data: bytes) -> Generator[Frame | Block, None, bytes]:
-        """Frames of complete objects; returns what is left."""
+        """Yield the frames of complete objects; return the remaining bytes."""
         at = 0 if self._synchronised else self._skip_to_object(data, 0)
         following = data.find(SIGNATURE, at, at + 8)
         while True:
@@ -270,7 +270,7 @@ class Blf(ObjectReader):
             at = end
 
     def _run(self, objects: NDArray[np.void]) -> Iterator[Block]:
-        """Frames of a run of objects."""
+        """Yield the frames of a run of objects, if there are any."""
         block = frames_of_run(objects, self._start_ns)
         self._object_bytes += objects.nbytes
         if block.size < len(objects):
@@ -299,13 +299,13 @@ class Blf(ObjectReader):
     # ---- what is lost -------------------------------------------------------------------------
 
     def _lose(self, text: str, size: int = 0) -> None:
-        """Count a hole of so many bytes. How many objects it had is known at the end."""
+        """Count a hole of `size` bytes. Its number of objects is estimated at the end."""
         self._holes += 1
         self._lost_bytes += size
         self._skip_fault(Verdict.MALFORMED, text)
 
     def _skip_to_object(self, data: bytes, at: int, least: int = 0) -> int:
-        """Where the next object begins, `least` bytes on or later; the end if there is none."""
+        """Position of the next object, at least `least` bytes on; the end of the data if none."""
         found = find_object(data, at + least)
         self._synchronised = found >= 0
         end = found if found >= 0 else len(data)
@@ -313,14 +313,14 @@ class Blf(ObjectReader):
         return end
 
     def _unfinished(self, rest: bytes) -> Generator[Frame | Block, None, bytes]:
-        """Objects in what a damaged size makes look like the start of one; returns what is left."""
+        """Yield the objects inside one whose size is damaged; return the remaining bytes."""
         while (at := find_object(rest, len(SIGNATURE))) >= 0:
             self._lose("an object that does not end", at)
             rest = yield from self._objects(rest[at:])
         return rest
 
     def _end(self) -> None:
-        """Count the objects that are lost, by the header's count where that can be."""
+        """Count the lost objects, by the header's count if that is plausible."""
         read = self.lines - self._holes
         missing = self._missing(read)
         if self._holes:
@@ -343,9 +343,9 @@ class Blf(ObjectReader):
         super()._end()
 
     def _missing(self, read: int) -> int | None:
-        """Objects of the header's count that are not there; None where it cannot be right.
+        """Number of objects missing from the header's count; None if that is not plausible.
 
-        Some writers leave it at 0, and some count otherwise.
+        Some writers leave the count at 0, and some count differently.
         """
         missing = self._promised_objects - (read - self._restore_points)
         bytes_left = max(self._promised_bytes - self.bytes_read, 0)
@@ -355,7 +355,7 @@ class Blf(ObjectReader):
 
 
 def _system_time_ns(fields: tuple[int, ...]) -> int:
-    """Of Windows' SYSTEMTIME; 0 where it is none, or what a recorder without a clock has (1601)."""
+    """Nanoseconds of a Windows SYSTEMTIME; 0 if invalid, or 1601, of a recorder without a clock."""
     year, month, _, day, hour, minute, second, ms = fields
     if year not in _YEARS:
         return 0

@@ -1,7 +1,7 @@
 """Layout of the objects of a BLF, and the frames in them; pure.
 
-The layout is that of python-can. Nothing beyond the end of an object is read: what follows is
-another one.
+The layout is that of python-can. Nothing beyond the end of an object is read, because the bytes
+there belong to the next one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BASE: Final = struct.Struct("<4sHHLL")
 """Signature, size of the header, its version, size and kind of the object."""
 _STAMP: Final = {1: struct.Struct("<LHHQ"), 2: struct.Struct("<LBxHQ")}
 CONTAINER: Final = struct.Struct("<H6xL4x")
-"""Compression, and bytes of the content before it."""
+"""Compression method, and size of the content before compression."""
 CLASSIC: Final = struct.Struct("<HBBL8s")
 FD_MESSAGE: Final = struct.Struct("<HBBLLBBB5x64s")
 _CLASSIC_HEAD: Final = struct.Struct("<HBBL")
@@ -35,15 +35,15 @@ ERROR_EXT: Final = struct.Struct("<HHLBBBxLLH2x8s")
 MESSAGES, ERROR_EXT_KIND, CONTAINER_KIND = (1, 86), 73, 10
 FD_KIND, _FD_64_KIND, _ERRORS = 100, 101, (2, 104)
 RESTORE_POINT_KIND: Final = 115
-"""Vector's count of objects leaves it out."""
+"""Kind of object that Vector's count of objects leaves out."""
 MOST_BYTES: Final = 1 << 26
-"""Of a container: real ones have 128 kB, and a size that is damaged must not become memory."""
+"""Largest container: real ones have 128 kB, and a damaged size must not allocate memory."""
 MOST_OF: Final = dict.fromkeys((*MESSAGES, ERROR_EXT_KIND, FD_KIND, _FD_64_KIND, *_ERRORS), 1 << 10)
-"""Bytes of an object of a kind whose size is known."""
+"""Most bytes of an object, for kinds whose size is known."""
 _HEADERS: Final = range(BASE.size, 65)
 _MOST_KINDS: Final = 1 << 10
 _GAP: Final = 8
-"""Bytes between two objects are fewer."""
+"""Fewer bytes than these lie between two objects."""
 _NUMBER, _MANY = int.from_bytes(SIGNATURE, "little"), 8
 _SOON: Final = 1 << 60
 CLASSIC_FIELDS: Final = [
@@ -61,7 +61,7 @@ _DIRECTION, SENT_FLAG, _REQUESTED = 0x0F, 1, 2
 
 
 def is_followed(data: bytes, end: int) -> bool:
-    """Whether an object, padding or the end of the data comes where an object ends."""
+    """Whether an object, padding or the end of the data follows the position `end`."""
     after = data[end : end + _GAP]
     if len(after) < _GAP or SIGNATURE in after:
         return True
@@ -69,7 +69,7 @@ def is_followed(data: bytes, end: int) -> bool:
 
 
 def find_object(data: bytes, at: int) -> int:
-    """The next start of an object that is one: data of a frame can look like a start. -1: none."""
+    """Position of the next real object, -1 if none; data of a frame can look like its start."""
     while (at := data.find(SIGNATURE, at)) >= 0:
         if len(data) - at < BASE.size:
             return at
@@ -86,7 +86,7 @@ def find_object(data: bytes, at: int) -> int:
 
 
 def find_container(data: bytes) -> int:
-    """The start of another container in the content of one; -1 if there is none."""
+    """Position of another container in the content of one; -1 if there is none."""
     at = 0
     while (at := data.find(SIGNATURE, at)) >= 0 and len(data) - at >= BASE.size:
         _, header, version, size, kind = BASE.unpack_from(data, at)
@@ -99,9 +99,9 @@ def find_container(data: bytes) -> int:
 def frame_of(
     data: bytes, fields: tuple[int, int, int, int], start_ns: int
 ) -> Frame | Verdict | str:
-    """Of one object. A text: what is wrong with it.
+    """Frame of one object, a Verdict if it has none, or a text that describes its fault.
 
-    fields: size of its header, the header's version, size and kind of the object.
+    fields: size and version of the header, size and kind of the object.
     Raises struct.error or IndexError for an object that is too short for its kind.
     """
     header, version, _, kind = fields
@@ -140,7 +140,7 @@ def frame_of(
 def _fd_64(t_ns: int, data: bytes, header: int) -> Frame | Verdict | str:
     fields = _FD_64.unpack_from(data, header)
     channel, dlc, valid, _, can_id, _, bits = fields[:7]
-    # `valid` may be more than there is: CANoe then fills up with zeros (python-can's issue 1905).
+    # `valid` may exceed the bytes that are there; CANoe then pads with zeros (python-can, 1905).
     start = header + _FD_64.size
     content = data[start : min(start + valid, fields[13] or len(data))].ljust(valid, b"\0")
     words = (bits & 0x1000, bits & 0x2000, bits & 0x4000, bits & 0x10, fields[12])
@@ -150,9 +150,9 @@ def _fd_64(t_ns: int, data: bytes, header: int) -> Frame | Verdict | str:
 def _message(
     t_ns: int, channel: int, can_id: int, words: tuple[int, ...], dlc: int, data: bytes, valid: int
 ) -> Frame | Verdict | str:
-    """A data or remote frame, as long as its DLC says, with zeros for what is not there.
+    """A data or remote frame with the length of its DLC; missing bytes are zero.
 
-    words: FD, BRS, ESI, remote, direction; valid: bytes of `data` that are the frame's.
+    words: FD, BRS, ESI, remote, direction; valid: bytes of `data` that belong to the frame.
     """
     fd, brs, esi, remote, direction = words
     if direction == _REQUESTED:
@@ -180,7 +180,7 @@ def _message(
 
 
 def run_of(data: bytes, at: int, size: int) -> NDArray[np.void] | None:
-    """Objects of classic frames of one size that follow one another, if there are many."""
+    """Consecutive objects of classic frames of one size; None if they are fewer than `_MANY`."""
     if size not in _CLASSIC_OBJECT:
         return None
     objects = np.frombuffer(data, _CLASSIC_OBJECT[size], (len(data) - at) // size, at)
@@ -199,7 +199,7 @@ def run_of(data: bytes, at: int, size: int) -> NDArray[np.void] | None:
 
 
 def frames_of_run(objects: NDArray[np.void], start_ns: int) -> Block:
-    """Frames of the objects of a run; requests to send are none."""
+    """Frames of the objects of a run, without those that are only requests to send."""
     bits = objects["bits"].copy()
     requested = bits & _DIRECTION == _REQUESTED
     if requested.any():
@@ -226,5 +226,5 @@ def frames_of_run(objects: NDArray[np.void], start_ns: int) -> Block:
 
 @lru_cache(256)
 def _name(channel: int) -> str:
-    """Vector counts from 1."""
+    """Name of a channel, counted from 0; Vector counts from 1."""
     return str(channel - 1 if channel else 0)

@@ -1,9 +1,9 @@
-"""CSV of frames by the names in its header: python-can's, SavvyCAN's (GVRET), CANedge's, pandas'.
+"""CSV of frames, read by its header: python-can's, SavvyCAN's (GVRET), CANedge's, pandas'.
 
-Columns are found by their names, in any order; those that nobody knows are passed over. Time is in
-seconds where it has a decimal point, in what its column's name says, or in microseconds (SavvyCAN's
-`Time Stamp`); a whole number of 12 digits and more is ms, us or ns since 1970. CSS Electronics'
-CL1000 and CL2000 (`Timestamp;Type;ID;Data`) have stamps and types of their own.
+Columns are found by their names, in any order; unknown ones are ignored. Time is in seconds if it
+has a decimal point, in the unit in its column's name, or in microseconds (SavvyCAN's `Time Stamp`);
+a whole number of 12 or more digits is in ms, us or ns since 1970. CSS Electronics' CL1000 and
+CL2000 (`Timestamp;Type;ID;Data`) have stamps and types of their own.
 """
 
 from __future__ import annotations
@@ -50,18 +50,18 @@ _FLAGS: Final = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR, "fd": F
 _SENT: Final = {"tx": TX, "t": TX, "1": TX, "true": TX}
 _NOTHING: Final = re.compile(r"^()()()(.*)$", re.MULTILINE)
 _LOGGER: Final = {"timestamp", "lost", "type", "id", "length", "data"}
-"""Columns of a CL1000 or CL2000. `Type`: 0 and 8 are 11 bits, 1 and 9 are 29; 8 and 9 were sent."""
+"""Columns of a CL1000 or CL2000. `Type`: 0 and 8: 11 bits; 1 and 9: 29 bits; 8 and 9: sent."""
 _LOGGER_TYPES: Final = {"0": 0, "1": EXTENDED, "8": TX, "9": EXTENDED | TX}
 _LOGGER_START: Final = re.compile(r"# *Time: *(\d{8}T\d{6})\s*")
 _SECONDS: Final = re.compile(r"-?\d+\.\d*|\d{10}")
 _BAD_TIMES: Final = 100
-"""Times that are remembered for the words of an error."""
+"""Most unreadable times that are kept for error messages."""
 NO_DATE: Final = "stamps name a day but no month: it is taken for January 1970"
 _LATEST_NS: Final = 9_000_000_000_000_000_000
 
 
 class _Columns(NamedTuple):
-    """What a header says. kinds: of each column, see `_NAMES`; empty for unknown ones."""
+    """Columns of a header. kinds: kind of each column, see `_NAMES`; empty for unknown ones."""
 
     separator: str
     titles: list[str]
@@ -70,7 +70,7 @@ class _Columns(NamedTuple):
 
 
 def _columns(text: str) -> _Columns | None:
-    """Of a header; None for any other line, such as one that begins with a number."""
+    """Columns of a header; None for any other line, such as one that begins with a digit."""
     if text[:1].isdigit():
         return None
     separator = max(",;\t", key=text.count)
@@ -86,7 +86,7 @@ class Csv(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
 
     def __init__(self) -> None:
-        """Before its header."""
+        """Start without a header."""
         self.regex = _NOTHING
         self._head: list[str] = []
         self._unit_ns = 0
@@ -98,11 +98,11 @@ class Csv(Format):
         self.notes: list[str] = []
 
     def changes(self, text: str) -> bool:
-        """Names of columns, at the start, or again where files were put together."""
+        """True for a header, at the start, or again in files that were concatenated."""
         return _columns(text) is not None
 
     def line(self, text: str) -> Line:
-        """The header; or a line that has not its columns."""
+        """Parse the header, a comment, or a line that does not have the header's columns."""
         if not text.strip():
             return Line(Verdict.BLANK)
         if (columns := _columns(text)) is not None:
@@ -115,7 +115,7 @@ class Csv(Format):
         return Line(Verdict.MALFORMED)
 
     def _use(self, columns: _Columns) -> None:
-        """Read lines by this header from now on."""
+        """Read the lines that follow by this header."""
         separator, titles, plain, kinds = columns
         self._base64 = "arbitrationid" in plain and "data" in plain
         self._split = "data" not in kinds
@@ -133,7 +133,7 @@ class Csv(Format):
         self._separator = separator
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
-        """In the unit that the header or the first number says."""
+        """Nanoseconds, by the unit in the header or the number of digits of the first time."""
         texts = [text.strip() for text in texts]
         if self._logger:
             return np.array([self._logger_ns(text) for text in texts], dtype=np.int64)
@@ -151,7 +151,7 @@ class Csv(Format):
             return np.array([self._time_ns(text, unit_ns) for text in texts], dtype=np.int64)
 
     def _time_ns(self, text: str, unit_ns: int) -> int:
-        """A number, also with an exponent, or a date. Raises ValueError."""
+        """Nanoseconds of a number, which may have an exponent, or a date. Raises ValueError."""
         try:
             exact = Decimal(text) * unit_ns
         except InvalidOperation:
@@ -161,7 +161,7 @@ class Csv(Format):
         return int(exact)
 
     def _date_ns(self, text: str) -> int:
-        """A date, or a stamp of a CL1000 or CL2000. Raises ValueError, and remembers it."""
+        """Nanoseconds of a date or CL1000/CL2000 stamp. Raises ValueError, and keeps the text."""
         try:
             if not self._logger or "-" in text:
                 return date_ns(text)
@@ -172,7 +172,7 @@ class Csv(Format):
             raise
 
     def _logger_ns(self, text: str) -> int:
-        """Of a CL1000 or CL2000. Raises ValueError for a number that may mean anything."""
+        """Nanoseconds of a CL1000/CL2000 stamp. Raises ValueError for an ambiguous number."""
         if _SECONDS.fullmatch(text):
             return nanoseconds([text]).item()
         stamp = self._date_ns(text)
@@ -181,7 +181,7 @@ class Csv(Format):
         return stamp
 
     def explain(self, text: str) -> str:
-        """That there is no header, or that its time is none, where that is the reason."""
+        """Reason: no header, or a time that cannot be read; empty if it is neither."""
         if self.regex is _NOTHING:
             return "no header names columns for time, identifier and data (docs/files.md)"
         bad = next((time for time in self._bad_times if time and time in text), "")
@@ -191,7 +191,7 @@ class Csv(Format):
         return f"unknown time {bad!r}, not {known}"
 
     def data(self, text: str, length: int) -> bytes:
-        """Base64, or hexadecimal with anything between the bytes."""
+        """Bytes from Base64, or from hexadecimal with any separator between the bytes."""
         if self._base64:
             return binascii.a2b_base64(text.strip(' "'), strict_mode=True)
         if self._split:
@@ -201,14 +201,14 @@ class Csv(Format):
         return bytes.fromhex(text) if text.isalnum() and text[1:2] != "x" else _bytes_of(text)
 
     def whole(self, text: str) -> bool:
-        """Base64 cannot be of this length otherwise; a byte of one digit may go on."""
+        """False if the last byte has one digit and may be cut; one column of data is whole."""
         if self._split:
             last = text.rstrip().split(self._separator)[-1].strip()
             return not last or len(last) == 2
         return True
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """Of the other columns."""
+        """Head from the columns other than time and data."""
         cells = {k: v.strip().strip('"') for k, v in zip(self._head, parts, strict=True)}
         try:
             return self._frame(cells)
@@ -228,7 +228,7 @@ class Csv(Format):
         code = _whole(cells["dlc"]) if cells.get("dlc") else -1
         size = _whole(cells["length"]) if cells.get("length") else -1
         if size < 0 <= code:
-            # python-can's dlc is the number of bytes; a code where CAN FD has its own column.
+            # python-can's dlc is the number of bytes; with a column for CAN FD it is a code.
             size = FD_SIZES[code] if flags & FD else code
         if "fd" not in cells and size > CLASSIC_BYTES and size in FD_SIZES:
             flags |= FD
@@ -243,7 +243,7 @@ class Csv(Format):
 
 
 def _row_pattern(separator: str, kinds: list[str], split: bool) -> tuple[list[str], list[str]]:
-    """Of the columns up to the last one that is needed, and the kinds of its groups."""
+    """Patterns of the columns (to the first byte if `split`), and the kinds of their groups."""
     cell = rf'(?:"[^"\n]*"|[^"{separator}\n][^{separator}\n]*|)'
     pattern: list[str] = []
     groups: list[str] = []
@@ -255,7 +255,7 @@ def _row_pattern(separator: str, kinds: list[str], split: bool) -> tuple[list[st
             pattern.append(cell)
             continue
         groups.append(kind)
-        # Times begin with a digit: the names of columns, which may come again, do not.
+        # A time begins with a digit, unlike a header, which may occur again.
         time = rf'[ ]*"?([-+]?\d[^{separator}"\n]*)"?[ ]*'
         pattern.append(time if kind == "time" else f"({cell})")
     return pattern, groups
@@ -267,7 +267,7 @@ def is_header(text: str) -> bool:
 
 
 def _bytes_of(text: str) -> bytes:
-    """Bytes with anything between them; a list in brackets, as Python writes it, is decimal."""
+    """Bytes with any separator between them; a list in brackets, as in Python, is decimal."""
     text = text.strip(' "')
     if text.startswith("["):
         return bytes(int(word, 0) for word in text.strip("[]").split(",") if word.strip())
@@ -276,7 +276,7 @@ def _bytes_of(text: str) -> bytes:
 
 
 def _whole(text: str) -> int:
-    """A whole number; pandas writes `8.0` where some are missing."""
+    """A whole number; pandas writes `8.0` if other rows have no value."""
     return int(text.removesuffix(".0"), 16 if text[:2].lower() == "0x" else 10)
 
 

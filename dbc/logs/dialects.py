@@ -1,7 +1,7 @@
-"""Text logs of recorders that are recognised by their lines, and who reads them.
+"""Text logs of recorders that are recognised by their lines, and the formats that read them.
 
-Each has a pattern (`dbc.logs.pattern`). Where lines say more than a pattern can, a format of its
-own reads them, also if the pattern was given by hand.
+Each has a pattern (`dbc.logs.pattern`). If its lines hold more than a pattern can describe, a
+separate format reads them, even if the user gave the pattern.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ DIALECTS: Final = {
     "python-can's text": PRINTED,
     "GVRET": "{us} - {id} {type} {channel} {dlc} {data}",
 }
-"""Formats that are recognised by their lines."""
+"""Name and pattern of each format that is recognised by its lines."""
 BUSMASTER_MARK: Final = b"***BUSMASTER"
-"""How the first line of BUSMASTER starts."""
+"""Start of the first line of a BUSMASTER log."""
 _DECIMAL: Final = "{clock} {dir} {channel} {id:d} {type} {dlc} {data:d}"
 _MODE: Final = re.compile(r"\*{3}(?:(HEX|DEC)|(RELATIVE|ABSOLUTE|SYSTEM) MODE)\*{3}")
 _ERROR: Final = re.compile(
@@ -45,24 +45,24 @@ _ERROR: Final = re.compile(
 )
 _STAMP: Final = re.compile(r"\d{1,2}:\d\d:\d\d:\d{1,9}(?=\s)")
 _NOTE: Final = re.compile(r"\d+\.\d+ +\d*C[A-Z]{2}\b")
-"""CRTD's lines that are none of a frame."""
+"""A line of CRTD without a frame."""
 _KIND: Final = re.compile(r"(\d*)([RT])(11|29)")
 _BUSMASTER_KIND: Final = re.compile(r"[sx](?:r|-fd)?")
 
 
 class BusMaster(Pattern):
-    """BUSMASTER: its header names the base of numbers, and whether times are differences."""
+    """BUSMASTER: its header gives the base of numbers, and whether times are differences."""
 
     clock_end_ns = 100 * DAY_NS
     """Times may count from the start of the log: hours have two digits."""
 
     def __init__(self) -> None:
-        """At the start of a log: hexadecimal, times of day."""
+        """Start with hexadecimal numbers and times of day."""
         super().__init__(BUSMASTER)
         self._differences: Differences | None = None
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """`dir channel id type dlc`."""
+        """Head from `dir channel id type dlc`."""
         if parts[3] == "ERR":
             head = super().head(parts)
             return head._replace(can_id=0, flags=ERROR | (head.flags & TX))
@@ -71,11 +71,11 @@ class BusMaster(Pattern):
         return super().head(parts)
 
     def changes(self, text: str) -> bool:
-        """`***DEC***`, `***RELATIVE MODE***` and their like; each session has them again."""
+        """True for `***DEC***`, `***RELATIVE MODE***` and the like, which each session repeats."""
         return _MODE.match(text.strip()) is not None
 
     def line(self, text: str) -> Line:
-        """A line of the header, an error frame."""
+        """Parse a line of the header or an error frame."""
         text = text.strip()
         if mode := _MODE.match(text):
             base, times = mode.groups()
@@ -89,12 +89,12 @@ class BusMaster(Pattern):
             flags = ERROR | (TX if direction == "Tx" else 0)
             return framed(Head(0, flags, 0, channel), clock_ns(stamp))
         if stamp := _STAMP.match(text):
-            # Malformed, with its time: the next one may count from it.
+            # Malformed, but its time is kept, because the next one may be relative to it.
             return Line(Verdict.MALFORMED, None, clock_ns(stamp[0]))
         return super().line(text)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Times of day; differences added up."""
+        """Times of day as they are; differences are summed."""
         if self._differences is not None:
             return self._differences.add(times, timed)
         return super().clock(times, timed)
@@ -108,7 +108,7 @@ class Crtd(Pattern):
         super().__init__(CRTD)
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """`type id`."""
+        """Head from `type id`."""
         kind = _KIND.fullmatch(parts[0])
         if kind is None:
             return Head(0, verdict=Verdict.MALFORMED)
@@ -117,7 +117,7 @@ class Crtd(Pattern):
         return head._replace(channel=kind[1], flags=flags)
 
     def line(self, text: str) -> Line:
-        """Comments, events and statistics of the recorder, too."""
+        """Parse a line without a frame; the recorder's events and statistics are comments."""
         return Line(Verdict.COMMENT) if _NOTE.match(text.strip()) else super().line(text)
 
 
@@ -127,9 +127,9 @@ _OWN: Final[dict[str, Callable[[], Format]]] = {
 
 
 def format_of(pattern: str, lines: Sequence[str] = ()) -> Format:
-    """Who reads lines of this pattern, at the start of a log. Raises PatternError.
+    """A format that reads lines of this pattern, at the start of a log. Raises PatternError.
 
-    lines: the first ones of the log, where its lines do not say how they are to be read.
+    lines: the first lines of the log, for formats that cannot interpret a line by itself.
     """
     if pattern in (SCREEN, _SCREEN_DATES):
         return Screen(lines)

@@ -1,4 +1,4 @@
-"""What a format of text logs is: its lines, and what is checked of every one of them."""
+"""Interface of a format of text logs, and the checks that all formats share."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _LATEST_NS: Final = 9_000_000_000_000_000_000
 CLASSIC_BYTES: Final = 8
 MOST_DLC: Final = 15
 FD_SIZES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""Bytes by the code of the length."""
+"""Number of data bytes by DLC."""
 
 
 class Head(NamedTuple):
-    """What a line says of a frame besides time and data.
+    """All fields of a frame's line except time and data.
 
-    length: of its data; -1: as many as there are. dlc: as in `Frame`. verdict: other than those of
-    frames if the line is none.
+    length: number of data bytes, -1 if the line does not give it. dlc: as in `Frame`. verdict: one
+    without a frame if the line holds none.
     """
 
     can_id: int
@@ -36,9 +36,9 @@ class Head(NamedTuple):
 
 
 class Line(NamedTuple):
-    """A line that was read by itself. t_ns: its time, if it has one; as `Format.times` has it.
+    """A line that was parsed by itself. t_ns: its time as from `Format.times`, None without one.
 
-    sure: that the line is whole, although no line end follows.
+    sure: whether the line is complete even if no line end follows.
     """
 
     verdict: Verdict
@@ -49,55 +49,55 @@ class Line(NamedTuple):
 
 
 class Format:
-    """A format of lines. What is not of its own in most formats stands here."""
+    """A format of lines, with the defaults that suit most formats."""
 
     regex: re.Pattern[str]
-    """Matches every line. Groups: time, those of the head, data; the line if it is not plain."""
+    """Matches every line. Groups: time, those of the head, data; the whole line if not plain."""
     order: tuple[int, ...] = ()
-    """Places of these groups among those of `regex`, if they are not in this order; else empty."""
+    """Positions of these groups in `regex`, if it has another order; else empty."""
     splits = False
-    """Whether the head's groups are its words; else it is one group."""
+    """Whether each word of the head is a group; else the head is one group."""
     shape: Any = None
-    """How plain lines look for dbc/text_read.c, see `dbc.logs.lines`; None: it cannot read them."""
+    """Form of plain lines for dbc/text_read.c, see `dbc.logs.lines`; None: it cannot read them."""
     began = False
-    """Whether a plain line came before the one that `line` is given."""
+    """Whether a plain line came before the line that is passed to `line`."""
     has_names = False
-    """Whether frames may have names, of which a line says behind its data what they are."""
+    """Whether a line may hold further fields of its frame behind the data, such as the id."""
     notes: list[str]
-    """What a person is told when the log has been read."""
+    """Remarks for the user when the log has been read."""
 
     def learn(self, text: str) -> None:
-        """Names in these lines; before any of their heads is asked for."""
+        """Learn the names in these lines; called before `head` for any of them."""
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """Of the head's groups."""
+        """Head from the groups of the head."""
         raise NotImplementedError
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
-        """Nanoseconds of the time's groups, seconds. Raises ValueError."""
+        """Nanoseconds from the groups of the time, by default in seconds. Raises ValueError."""
         return nanoseconds(texts)
 
     def data(self, text: str, length: int) -> bytes:
-        """Of the data's group, bytes of two digits each. Raises ValueError."""
+        """Bytes from the group of the data, by default of two digits each. Raises ValueError."""
         del length
         return bytes.fromhex(text)
 
     def whole(self, text: str) -> bool:
-        """Whether no digit can follow in the data's group, which has as many bytes as it should."""
+        """Whether no digit can be missing in the data's group, whose number of bytes is right."""
         del text
         return True
 
     def changes(self, text: str) -> bool:
-        """Whether a line that is not plain says how those behind it are to be read."""
+        """Whether a line that is not plain changes how the lines behind it are read."""
         del text
         return False
 
     def line(self, text: str) -> Line:
-        """A line that is not plain. After one of `changes`, `regex` may be another one."""
+        """Parse a line that is not plain. A line of `changes` may replace `regex`."""
         raise NotImplementedError
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """The frames' times of those that stand in consecutive lines; 0 in lines without one."""
+        """Frame times from the times in consecutive lines; lines not `timed` have a time of 0."""
         del timed
         return times
 
@@ -108,9 +108,9 @@ class Format:
 
 
 def nanoseconds(texts: Sequence[str], unit_ns: int = 1_000_000_000) -> NDArray[np.int64]:
-    """Decimal numbers of a unit, exact. Raises ValueError for what is none or has no room.
+    """Exact nanoseconds of decimal numbers in units of `unit_ns`; fractions of 1 ns are cut.
 
-    Beyond whole nanoseconds digits are cut.
+    Raises ValueError for a text that is not a number, or a number that is too large.
     """
     if not texts:
         return np.zeros(0, dtype=np.int64)
@@ -140,12 +140,12 @@ def _exact(text: str, unit_ns: int) -> int:
 
 
 def words_of(text: str) -> list[str]:
-    """Words between blanks and tabs, as dbc/text_read.c parts them: no other byte is a blank."""
+    """Words between blanks and tabs, as in dbc/text_read.c: no other byte separates words."""
     return [word for word in text.replace("\t", " ").split(" ") if word]
 
 
 def verdict_with(head: Head, data: bytes) -> Verdict:
-    """Of a line with this head and these data."""
+    """Verdict of a line with this head and these data."""
     if head.verdict > Verdict.ERROR_FRAME:
         return head.verdict
     if len(data) != head.length and not (head.length < 0 and _possible(head.flags, len(data))):
@@ -158,7 +158,7 @@ def _possible(flags: int, length: int) -> bool:
 
 
 def checked(head: Head) -> Head:
-    """With a verdict of its own if no frame has this identifier, or this length."""
+    """The head with its verdict: the kind of frame, or an impossible identifier or length."""
     if head.verdict > Verdict.ERROR_FRAME:
         return head
     if not 0 <= head.can_id <= (0x1FFF_FFFF if head.flags & (EXTENDED | ERROR) else 0x7FF):
@@ -169,7 +169,7 @@ def checked(head: Head) -> Head:
 
 
 def verdict_of(flags: int) -> Verdict:
-    """Of a frame with these flags."""
+    """Verdict of a frame with these flags."""
     for flag, verdict in (
         (ERROR, Verdict.ERROR_FRAME), (REMOTE, Verdict.REMOTE), (FD, Verdict.FD),
     ):  # fmt: skip
@@ -179,6 +179,6 @@ def verdict_of(flags: int) -> Verdict:
 
 
 def framed(head: Head, t_ns: int, data: bytes = b"", *, sure: bool = False) -> Line:
-    """A line with a frame, checked."""
+    """A line with a frame; its identifier and length are checked."""
     head = checked(head)
     return Line(verdict_with(head, data), head, t_ns, data, sure)

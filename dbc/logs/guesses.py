@@ -1,7 +1,7 @@
-"""Patterns that may fit the lines of a log nobody knows: what `--line auto` tries.
+"""Patterns that may fit the lines of an unknown log; `--line auto` tries them.
 
-A pattern has a time, a separator and an order of columns; only the times and separators that the
-lines have are tried. `key=value` gives a pattern of its own.
+A pattern has a time, a separator and an order of columns. Only times and separators that occur in
+the lines are tried. Lines of `key=value` give a pattern of their own.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from statistics import median
 from typing import Final
 
 NUMBER: Final = "{us}"
-"""A time that is a number of any unit: `unit_of` has to say which; in us, 16 digits have room."""
+"""A time that is a number in an unknown unit, which `unit_of` finds; us have room for 16 digits."""
 _DECIMAL: Final = r"-?\d{1,18}(?:[.,]\d*)?"
 _TIMES: Final = {
     NUMBER: rf"{_DECIMAL}(?=[\s,;])", f"[{NUMBER}]": rf"\[{_DECIMAL}\]",
@@ -40,12 +40,12 @@ _COLUMNS: Final = (
 )  # fmt: skip
 _COLUMN: Final = re.compile(r"\b(id|dlc|data|channel|dir|skip|type)\b")
 _TYPE: Final = r"(?<![^\s,;])(?:[SX]|STD|EXT|SFF|EFF)(?![^\s,;])"
-"""A word that says how many bits an identifier has."""
+"""A word for the number of bits of the identifier."""
 _DIRECTION: Final = r"(?<![^\s,;])[RTrt][xX]?(?![^\s,;])"
 _KIND: Final = (
     r"(?<![^\s,;])(?![RTrt][xX]?[\s,;])(?:[A-Za-z]*[G-Zg-z][A-Za-z]*|[A-Za-z])(?![^\s,;])"
 )
-"""A word that is neither a direction nor a byte, as the `d` in `Rx d 8`."""
+"""A word that is neither a direction nor a byte, such as the `d` in `Rx d 8`."""
 _KEYS: Final = {
     "us": ("t", "time", "ts", "timestamp", "stamp"),
     "id": ("id", "canid", "can_id", "arbitration_id", "identifier", "msgid", "cobid"),
@@ -58,11 +58,11 @@ _ROW: Final = re.compile(r"(\d+)[\s,;]+(\d+[.,]\d+)[\s,;]")
 _NUMBERED: Final = re.compile(r"^\s*\d+[\s,;]+")
 _EPOCH_DIGITS: Final = {10: "s", 13: "ms", 16: "us"}
 _STEPS: Final = ((10, "s"), (1000, "ms"), (1_000_000, "us"))
-"""Whole numbers whose step from frame to frame is less than this are of this unit; others ns."""
+"""Unit of whole numbers whose median step between frames is below the limit; of all others ns."""
 
 
 def guesses(lines: Sequence[str]) -> Iterator[str]:
-    """Patterns to try for these lines, neither blank nor comments; the likeliest first."""
+    """Yield patterns to try, the likeliest first. The lines must not be blank or comments."""
     numbered = _are_numbered(lines)
     bare = [_NUMBERED.sub("", line) for line in lines] if numbered else lines
     directed = _most(lines, rf".*{_DIRECTION}")
@@ -82,14 +82,14 @@ def guesses(lines: Sequence[str]) -> Iterator[str]:
 
 
 def variants(pattern: str) -> tuple[str, ...]:
-    """The pattern with decimal bytes; if it has a length, with one more word behind the data."""
+    """The pattern with decimal bytes; if it has a length, also with a word behind the data."""
     decimal = pattern.replace("{data}", "{data:d}")
     longer = (f"{pattern} {{skip}}",) if "{dlc}" in pattern else ()
     return decimal.replace("{id}", "{id:d}"), decimal, *longer
 
 
 def unit_of(stamps: Sequence[str]) -> tuple[str, str]:
-    """The unit of decimal times, `s` to `ns`, and why it is that, "" where nothing was assumed."""
+    """The unit of decimal times, `s` to `ns`, and the assumption behind it, "" if there is none."""
     if not all(stamp.lstrip("-").isdecimal() for stamp in stamps):
         return "s", ""
     if (unit := _EPOCH_DIGITS.get(len(stamps[0]))) is not None:
@@ -118,7 +118,7 @@ def _separators_in(lines: Sequence[str]) -> list[str]:
 
 
 def _are_numbered(lines: Sequence[str]) -> bool:
-    """Whether lines begin with their number, and a time with decimals is behind it."""
+    """Whether lines begin with their number, and a time with decimals follows."""
     rows = [match for line in lines if (match := _ROW.match(line.strip()))]
     numbers = [int(row[1]) for row in rows]
     times = [float(row[2].replace(",", ".")) for row in rows]
@@ -127,7 +127,7 @@ def _are_numbered(lines: Sequence[str]) -> bool:
 
 
 def _of_keys(lines: Sequence[str]) -> Iterator[str]:
-    """Of `t=0.1 id=181 data=01`: in the first line that has a key for each of the three."""
+    """Yield a pattern from the first line with keys for time, id and data: `t=1 id=181 data=01`."""
     for line in lines[:10]:
         keys = [match for match in _KEY.finditer(line) if not match[1].isdecimal()]
         names = [_field_of(match[1]) for match in keys]

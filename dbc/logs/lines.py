@@ -1,4 +1,4 @@
-"""Plain lines of a text log as blocks: dbc/text_read.c finds times, heads and data of many."""
+"""Read plain lines of a text log as blocks; dbc/text_read.c parses many of them per call."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from dbc.frames import Block, blank
 from dbc.records import TEXT_HEAD, pointer, zeros
 
 ROWS: Final = 1 << 15
-"""Most lines of a scan."""
+"""Largest number of lines of a scan."""
 _UNKNOWN, _PLAIN, _OTHER = range(3)
 
 
 def shape_of(
     unit_ns: int, words_before: int, head_words: int, marker: str = "", at: int = -1
 ) -> Any:
-    """How plain lines look, a `struct text_shape`. at: the word that has to be the marker."""
+    """Form of plain lines, a `struct text_shape`. at: index of the word that must be the marker."""
     fields = (unit_ns, words_before, head_words, at, ord(marker) if marker else 0)
     return ffi.new("struct text_shape *", fields)
 
 
 class Known(NamedTuple):
-    """What a head says of a frame with plain data, see `dbc.logs.format.Head`."""
+    """Fields of a head of plain data frames, see `dbc.logs.format.Head`."""
 
     can_id: int
     flags: int
@@ -36,7 +36,7 @@ class Known(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """n lines of a text. rows: with frames where `plain` (n,); start (n + 1,): of each line."""
+    """n lines of a text. rows: frames if `plain` (n,); start (n + 1,): position of each line."""
 
     rows: Block
     plain: NDArray[np.bool_]
@@ -44,10 +44,10 @@ class Scan(NamedTuple):
 
 
 class Scanner:
-    """Scans texts of one log; remembers its heads."""
+    """Scans the texts of one log, and keeps its heads."""
 
     def __init__(self, learn: Callable[[str, str], Known | None]) -> None:
-        """learn: what a head says, and a line with it; None where such lines are no plain data."""
+        """learn: from a head and a line with it to its fields; None if they are no plain data."""
         self._learn = learn
         self._heads = zeros(lib.TEXT_HEADS, TEXT_HEAD)
         count = len(self._heads)
@@ -58,7 +58,7 @@ class Scanner:
         self.names: list[str] = []
 
     def scan(self, text: bytes, start: int, shape: Any) -> Scan:
-        """At most `ROWS` complete lines from text[start:] on."""
+        """Scan at most `ROWS` complete lines from text[start:] on."""
         rows = blank(ROWS, self.names)
         head, places = np.empty(ROWS, np.int32), np.empty(ROWS + 1, np.int64)
         place = ffi.from_buffer("uint8_t[]", text) + start

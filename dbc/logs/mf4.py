@@ -1,8 +1,8 @@
 """CAN bus logging in MF4, read by asammdf in whole arrays.
 
-Own, because python-can's reader takes every identifier for 29 bits where there is no IDE channel,
-needs DataLength, and takes local time by the reading machine's zone (docs/upstream/mf4.md). A file
-whose clock is local time of no named zone is read as UTC.
+This module exists because python-can's reader takes every identifier for 29 bits if there is no IDE
+channel, needs DataLength, and takes local time to be in the zone of the reading machine
+(docs/upstream/mf4.md). Here a file with local time of an unknown zone is read as UTC.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from dbc.logs.objects import ObjectReader
 from dbc.logs.python_can import mf4_module
 
 _ROWS: Final = 1 << 14
-"""Records of a group that are read at once."""
+"""Number of records of a group that are read at once."""
 _KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 _FINISHED: Final = b"MDF     "
-"""How a file starts that its recorder has closed."""
+"""Start of a file that its recorder has closed."""
 _LOCAL_TIME: Final = 1
-"""Of the header's time flags."""
+"""Bit in the time flags of the header."""
 _LONG_ID: Final = 0x8000_0000
 _SIZES: Final = np.array(FD_SIZES, dtype=np.int64)
 _BITS: Final = {"IDE": EXTENDED, "EDL": FD, "BRS": BRS, "ESI": ESI}
 
 
 class Mf4(ObjectReader):
-    """One file; groups are merged by time."""
+    """Reader of one MF4 file; its groups are merged by time."""
 
     unit = "frames and records"
 
@@ -58,7 +58,7 @@ class Mf4(ObjectReader):
             with ExitStack() as stack:
                 source = self._whole(stack)
                 try:
-                    # asammdf's own table of all identifiers is half a gigabyte of a long log.
+                    # For a long log, asammdf's own table of identifiers takes half a gigabyte.
                     mdf = module.MDF(source, process_bus_logging=False)
                     yield from self._read(stack.enter_context(mdf))
                     self._end()
@@ -79,15 +79,15 @@ class Mf4(ObjectReader):
         return f" after {self.lines} frames" if self.lines else ""
 
     def _read(self, mdf: Any) -> Iterator[Block]:
-        """Frames of a file that is open."""
+        """Yield the frames of an open file."""
         if mdf.header.time_flags & _LOCAL_TIME:
             self.notes.append("the file's clock is local time of no named zone, read as UTC")
         yield from self._merged([_Group(mdf, k, name) for k, name in self._groups(mdf)])
 
     def _whole(self, stack: ExitStack) -> Path | IO[bytes]:
-        """The file, unpacked on disk where it is gzip: asammdf goes to and fro in it.
+        """The file; a gzip file is unpacked on disk, because asammdf needs random access.
 
-        A path it maps into memory, and only of a path it finishes what a recorder has not.
+        asammdf maps a path into memory, and only for a path does it complete an unfinished file.
         """
         source = self._open(stack)
         source = _copied(source, stack) if self.zipped else source
@@ -102,7 +102,7 @@ class Mf4(ObjectReader):
         return source
 
     def _groups(self, mdf: Any) -> Iterator[tuple[int, str]]:
-        """Groups of CAN bus logging; records of all others are counted."""
+        """Yield the groups of CAN bus logging; records of all other groups are counted."""
         for index, group in enumerate(mdf.groups):
             names = {channel.name for channel in group.channels}
             found = next((name for name in _KINDS if name in names), None)
@@ -113,7 +113,7 @@ class Mf4(ObjectReader):
                 self._skip(Verdict.EVENT, count)
 
     def _merged(self, groups: list[_Group]) -> Iterator[Block]:
-        """Blocks by time. Of equal times the group that comes first in the file is first."""
+        """Yield blocks sorted by time. At equal times groups keep their order in the file."""
         while waiting := [group for group in groups if group.fill()]:
             last = min(group.held[0].max() for group in waiting)
             parts = [group.frames_until(last) for group in waiting]
@@ -121,7 +121,7 @@ class Mf4(ObjectReader):
             yield self._checked(reduce(join, parts).pick(order))
 
     def _checked(self, block: Block) -> Block:
-        """Frames that can be; the others are counted, and all by verdict."""
+        """The possible frames of a block; the others are faults. All are counted by verdict."""
         flags, size = block.flags, block.length
         data = flags & (ERROR | REMOTE) == 0
         long = (flags & FD == 0) & (size > CLASSIC_BYTES) & data
@@ -136,7 +136,7 @@ class Mf4(ObjectReader):
 
 
 def _copied(stream: IO[bytes], stack: ExitStack) -> IO[bytes]:
-    """A copy on disk, from its beginning."""
+    """A copy on disk of the rest of the stream, at its start."""
     copy = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 the stack closes it
     shutil.copyfileobj(stream, copy)
     copy.seek(0)
@@ -144,9 +144,9 @@ def _copied(stream: IO[bytes], stack: ExitStack) -> IO[bytes]:
 
 
 def _calm(module: Any) -> None:
-    """What asammdf would print of a damaged file is in the error that we raise.
+    """Silence asammdf: the error raised here already describes a damaged file.
 
-    The object of a file that it refuses is half made, and complains when it is collected.
+    The half-made object of a rejected file also raises an exception when it is collected.
     """
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
     kind = module.asammdf.blocks.mdf_v4.MDF4
@@ -163,7 +163,7 @@ def _calm(module: Any) -> None:
 
 
 class _Group:
-    """Frames of one channel group, some at a time."""
+    """Frames of one channel group, read piece by piece."""
 
     def __init__(self, mdf: Any, index: int, name: str) -> None:
         self._mdf, self._index, self._name = mdf, index, name
@@ -173,7 +173,7 @@ class _Group:
         self.held: tuple[NDArray[np.int64], Block] = (np.zeros(0, np.int64), EMPTY)
 
     def fill(self) -> bool:
-        """Have some frames; False at the end."""
+        """Read frames if none are held; False at the end."""
         while not len(self.held[0]) and self._done < self._left:
             records = self._mdf.get(
                 self._name, self._index, record_offset=self._done, record_count=_ROWS, raw=False
@@ -185,7 +185,7 @@ class _Group:
         return bool(len(self.held[0]))
 
     def frames_until(self, last_ns: int) -> Block:
-        """Those up to a time; the others wait."""
+        """Return the held frames up to a time; the others stay held."""
         times, block = self.held
         late = np.flatnonzero(times > last_ns)
         end = late.item(0) if late.size else len(times)
@@ -208,7 +208,7 @@ class _Group:
 
         can_id, long = or_zero("ID"), field("IDE")
         flags = np.full(count, kind, np.int64)
-        # Without a channel of its own it is bit 31 of the identifier.
+        # Without an IDE channel, bit 31 of the identifier marks 29 bits.
         flags |= np.where(can_id & _LONG_ID if long is None else long, EXTENDED, 0)
         if not kind:
             for name, flag in _BITS.items():

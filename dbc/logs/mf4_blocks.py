@@ -1,4 +1,4 @@
-"""Whether an MF4 file has all the parts that it names; looked at after asammdf has refused it."""
+"""Check whether an MF4 file has all blocks that it links; used after asammdf has rejected it."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import IO, Final, NamedTuple
 HEADER: Final = struct.Struct("<4s4xQQ")
 """Kind, length and number of links of a block."""
 FIRST: Final = 64
-"""Where the first block is, behind the identification."""
+"""Position of the first block, behind the identification."""
 _MARK: Final = b"##"
 _MOST_BLOCKS: Final = 100_000
 _MOST_LINKS: Final = 1_000_000
 
 
 class Block(NamedTuple):
-    """Its head. size: as it says; links: places of other blocks or 0; data_at: behind them."""
+    """Head of a block. size: as stated; links: positions of blocks, or 0; data_at: behind them."""
 
     kind: bytes
     size: int
@@ -25,7 +25,7 @@ class Block(NamedTuple):
 
 
 def block_at(stream: IO[bytes], at: int) -> Block:
-    """The block at this place. Raises ValueError for none, struct.error where it is cut."""
+    """The block at this position. Raises ValueError if none is there, struct.error if it is cut."""
     stream.seek(at)
     kind, size, count = HEADER.unpack(stream.read(HEADER.size))
     if kind[:2] != _MARK or size < HEADER.size or count > _MOST_LINKS:
@@ -35,16 +35,16 @@ def block_at(stream: IO[bytes], at: int) -> Block:
 
 
 def missing_part(source: Path | IO[bytes]) -> str:
-    """How an MF4 file is shorter than it says, in words; empty if it is not.
+    """Message that an MF4 file is shorter than its links require; empty if it is not.
 
-    source: a file, or a stream that can be read from any place.
+    source: a file, or a stream with random access.
     """
     try:
         if not isinstance(source, Path):
             return _missing_part(source)
         with source.open("rb") as stream:
             return _missing_part(stream)
-    except (OSError, ValueError):  # a stream that is closed, for one
+    except (OSError, ValueError):  # for example a closed stream
         return ""
 
 
@@ -68,7 +68,7 @@ def _missing_part(stream: IO[bytes]) -> str:
 
 
 def _extent(stream: IO[bytes], at: int, size: int) -> tuple[int, set[int]]:
-    """Where a block ends, and the blocks that it names."""
+    """End of a block, and the positions of the blocks that it links."""
     try:
         block = block_at(stream, at)
     except ValueError:  # damaged, not cut

@@ -1,7 +1,7 @@
-"""MF4 files that their recorder has not closed (`UnFinMF`): where the last whole record ends.
+"""MF4 files that their recorder has not closed (`UnFinMF`): find the end of the last whole record.
 
 A CANedge writes such a file until it loses its power, so the last record may be cut anywhere.
-asammdf takes what is left of it for a record, or refuses the file.
+asammdf takes the rest of that record for a whole one, or rejects the file.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import IO, Final
 from dbc.logs.mf4_blocks import FIRST, HEADER, block_at
 
 _IS_VLSD: Final = 1
-"""A group whose records are as long as they say."""
+"""Flag of a group whose records begin with their own length."""
 _LENGTH: Final = struct.Struct("<L")
 _PIECE: Final = 1 << 20
 _MOST_BLOCKS: Final = 10_000
@@ -22,7 +22,7 @@ _MOST_BLOCKS: Final = 10_000
 def end_of_records(stream: IO[bytes]) -> tuple[int, int] | None:
     """The byte behind the last whole record, and the size of the file.
 
-    None where it cannot be told: a file of another form, or damaged.
+    None if it cannot be found, because the file is damaged or has another structure.
     """
     size = stream.seek(0, 2)
     try:
@@ -36,9 +36,9 @@ def end_of_records(stream: IO[bytes]) -> tuple[int, int] | None:
 
 
 def _last_group(stream: IO[bytes]) -> tuple[int, int, Mapping[int, int]] | None:
-    """Where the last records begin, the bytes of a record's number, and its bytes by that number.
+    """Position of the last records, size of a record's number, and size of a record by its number.
 
-    -1: a record says itself how long it is.
+    A size of -1 means that each record begins with its own length.
     """
     found = None
     at = block_at(stream, FIRST).links[0]
@@ -71,7 +71,7 @@ def _sizes(stream: IO[bytes], at: int) -> dict[int, int]:
 def _walk(stream: IO[bytes], at: int, id_bytes: int, sizes: Mapping[int, int]) -> int:
     """The byte behind the last whole record. Raises KeyError for a record of no group.
 
-    A frame's bytes may be a record of their own, before or behind that of the frame: both count.
+    The data of a frame may be a separate record, before or behind the frame's: both must be whole.
     """
     stream.seek(at)
     rest, first_is_long = b"", None

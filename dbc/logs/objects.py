@@ -1,4 +1,4 @@
-"""What readers of binary logs share with those of text: counts by verdict, problems, cut files."""
+"""Base of the readers of binary logs: counts by verdict, problems, truncated files, as for text."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from dbc.text import printable
 
 FRAMES: Final = (Verdict.OK, Verdict.FD, Verdict.REMOTE, Verdict.ERROR_FRAME)
 BLOCK: Final = 1 << 13
-"""Frames of a block."""
+"""Number of frames of a block."""
 
 
 class ObjectReader(LogReader):
-    """Frames of a log that has objects, not lines.
+    """Frames of a log that consists of objects, not lines.
 
     `lines` counts objects; a problem's `line` is the number of its object.
     """
 
     unit = "objects"
     zipped = False
-    """Whether the file that `_open` has opened is gzip."""
+    """Whether the file that `_open` opened is gzip."""
 
     def __init__(self, path: Path, *, strict: bool = False) -> None:
         """Nothing is opened before iteration."""
@@ -39,13 +39,13 @@ class ObjectReader(LogReader):
         super().__init__(str(path), strict=strict)
 
     def blocks(self) -> Iterator[Block]:
-        """Read from the start. Raises LogError for no such log; with `strict`, at a fault."""
+        """Read from the start. Raises LogError for another format; with `strict`, at a fault."""
         self._reset()
         yield from in_blocks(self._counted(), BLOCK)
         self._end()
 
     def _end(self) -> None:
-        """A log that is cut ends in a fault."""
+        """Report a fault if the log is truncated."""
         if self.truncated:
             read = sum(self.counts[verdict] for verdict in FRAMES)
             self.truncated = f"ends early after {read} frames: {self.truncated}"
@@ -63,7 +63,7 @@ class ObjectReader(LogReader):
             self.lines += counts.total()
 
     def _open(self, stack: ExitStack) -> IO[bytes]:
-        """The file, unpacked if it is gzip."""
+        """The open file; gzip is unpacked."""
         stream: IO[bytes] = stack.enter_context(self.path.open("rb"))
         self.zipped = stream.read(2) == b"\x1f\x8b"
         stream.seek(0)
@@ -74,13 +74,13 @@ class ObjectReader(LogReader):
         return plain
 
     def _count(self, block: Block) -> None:
-        """Frames by verdict."""
+        """Count the frames of a block by verdict."""
         numbers, counts = np.unique(block.flags, return_counts=True)
         for flags, count in zip(numbers.tolist(), counts.tolist(), strict=True):
             self._skip(verdict_of(flags), count)
 
     def frames(self) -> Iterator[Frame]:
-        """Of a format; objects that are none are counted by `_skip` and `_skip_fault`."""
+        """Yield the frames of the format; other objects go to `_skip` and `_skip_fault`."""
         raise NotImplementedError
 
     def _skip(self, verdict: Verdict, count: int = 1) -> None:

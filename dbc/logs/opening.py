@@ -1,4 +1,4 @@
-"""Which reader a log needs: by its ending, and where that says nothing by what is in it."""
+"""Choose the reader of a log by the file's ending, or by its content if that is not known."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from dbc.text import without_colours, without_mark
 
 _LOOKED_AT: Final = 1 << 16
 LINES: Final = 100
-"""By which a format is recognised."""
+"""Number of lines by which a format is recognised."""
 _ASC: Final = re.compile(rb"date\s+\S|base\s+(hex|dec)\b|begin\s+triggerblock", re.I)
 TEXT: Final = (".asc", ".trc", ".csv")
 OTHERS: Final = (".blf", ".mf4", ".db")
 
 
 def ending(path: Path) -> str:
-    """In small letters, without `.gz`."""
+    """Ending of a file name in lower case, without `.gz`."""
     return Path(path.name.lower().removesuffix(".gz")).suffix
 
 
 def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
-    """The reader of a file that is there. line: a pattern of its lines (`dbc.logs.pattern`).
+    """The reader of an existing file. line: a pattern of its lines (`dbc.logs.pattern`).
 
-    Raises PatternError, or LogError where no reader fits.
+    Raises PatternError, or LogError if no reader fits.
     """
     kind = ending(path)
     if not line and kind not in TEXT + OTHERS:
@@ -45,7 +45,7 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
 
 
 def _by_pattern(pattern: str, path: Path) -> Callable[[], Format]:
-    """Makes formats for lines of this pattern. Raises PatternError."""
+    """A function that makes formats for lines of this pattern. Raises PatternError."""
     from dbc.logs.dialects import format_of
 
     lines = [line.decode("latin-1") for line in first_lines(path)]
@@ -86,7 +86,7 @@ def _binary(path: Path, kind: str, strict: bool) -> LogReader:
 
 
 def first_lines(path: Path) -> list[bytes]:
-    """The first `LINES` whole lines of a text, plain or gzip; none of what is no text."""
+    """The first `LINES` whole lines of a text, plain or gzip; none if the gzip is damaged."""
     with path.open("rb") as stream:
         data = stream.read(_LOOKED_AT)
     if data[:2] == b"\x1f\x8b":
@@ -101,7 +101,7 @@ def first_lines(path: Path) -> list[bytes]:
 
 
 def _by_content(path: Path) -> str:
-    """The ending that a file should have, a pattern of its lines, or "" for candump's text."""
+    """The ending that fits the content, a pattern of its lines, or "" for candump's text."""
     with path.open("rb") as stream:
         magic = stream.read(8)
     if magic[:4] == b"LOGG":

@@ -1,22 +1,22 @@
-"""Logs of any line that a pattern describes: `{ms:x} {id:x} {data}`.
+"""Logs whose lines a pattern describes: `{ms:x} {id:x} {data}`.
 
-What stands outside of braces stands so in the line; a blank is any number of blanks and tabs, at
-least one. Fields:
+Text outside braces must occur in the line as it is; a blank stands for one or more blanks and tabs.
+Fields:
 
-    {s} {ms} {us} {ns}  time, decimal, with a point or (where no comma follows in the pattern) a
-                        comma; `:x` whole hexadecimal, `:x8` of eight digits
-    {clock} {date}      time of day, `22:20:14.992`; ISO 8601, UTC where no zone is named
-    {id} {id:d}         identifier, hexadecimal or decimal, `:x8` of eight digits; 29 bits from 800
-                        on, or with an x behind it
+    {s} {ms} {us} {ns}  time, decimal, with a point or (if no comma follows in the pattern) a
+                        comma; `:x` hexadecimal whole number, `:x8` with eight digits
+    {clock} {date}      time of day, `22:20:14.992`; ISO 8601, UTC if no zone is given
+    {id} {id:d}         identifier, hexadecimal or decimal, `:x8` with eight digits; 29 bits from
+                        800 (hexadecimal) on, or if an x follows
     {type}              s, x, 11, 29, R11, T29: 11 or 29 bits; r in sr and xr: remote; s-fd, x-fd:
                         CAN FD
     {channel} {dlc}
-    {dir}               sent where it begins with T, as Tx does
+    {dir}               sent if it begins with T, as in Tx
     {data} {data:d}     bytes, hexadecimal or decimal; blanks and one of , ; : . - between them
     {skip}              one word
 
-Behind {data} at the end of a pattern nothing else may stand in a line; behind anything else at its
-end there may be more.
+If a pattern ends in {data}, nothing may follow in the line. If it ends otherwise, more text may
+follow.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, nanosec
 from dbc.logs.times import DAY_NS, DayTimes, clock_ns, date_ns
 
 HEADER_LINES: Final = 100
-"""Lines before the first frame that may say anything."""
+"""Most lines before the first frame that count as a header, whatever they contain."""
 _FIELD: Final = re.compile(r"\{(\w+)(?::([xd])(\d{1,2})?)?\}")
 _UNITS: Final = {"s": SECOND, "ms": MS, "us": 1000, "ns": 1, "clock": SECOND, "date": SECOND}
 _NUMBER: Final = r"-?\d+(?:\.\d*)?"
@@ -53,12 +53,12 @@ _NUMBER_OR_COMMA: Final = r"(-?\d+(?:[.,]\d*)?)"
 _TOKEN: Final = re.compile(r"[0-9A-Fa-f]+")
 _WORD: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]+)")
 _MISSING: Final = re.compile(r"[,;:.\-][ \t]*[,;:.\-][ \t,;:.\-]*(?=[0-9A-Fa-f])")
-"""Between two separators there is no byte, and behind them one."""
+"""Two separators without a byte between them, and a byte behind them."""
 COMMENT: Final = ("#", ";", "//", "***")
 
 
 class PatternError(ValueError):
-    """A pattern that cannot be used; the text says where and why."""
+    """A pattern that cannot be used; the message gives the place and the reason."""
 
 
 class _Field(NamedTuple):
@@ -71,16 +71,16 @@ class Pattern(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
 
     clock_end_ns = DAY_NS
-    """No `{clock}` is as late."""
+    """Limit of `{clock}`: a time of day is earlier."""
 
     def __init__(self, pattern: str) -> None:
-        """Raises PatternError."""
+        """Compile the pattern. Raises PatternError."""
         self._headers = 0
         self._day_times = DayTimes()
         self._compile(pattern)
 
     def _compile(self, pattern: str) -> None:
-        """Read lines by this pattern from now on. Raises PatternError."""
+        """Read the lines that follow by this pattern. Raises PatternError."""
         self.pattern = pattern
         parts = _parts(pattern)
         fields = [part for part in parts if isinstance(part, _Field)]
@@ -107,7 +107,7 @@ class Pattern(Format):
         self._parts = parts
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
-        """In the pattern's unit."""
+        """Nanoseconds, by the unit of the pattern's time. Raises ValueError."""
         unit = _UNITS[self._time.name]
         if self._time.name == "clock":
             times = np.array([clock_ns(text) for text in texts], dtype=np.int64)
@@ -121,11 +121,11 @@ class Pattern(Format):
         return nanoseconds([text.replace(",", ".") for text in texts], unit)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """As they are; a time of day goes on behind midnight."""
+        """Times as they are; times of day continue past midnight."""
         return self._day_times.add(times, timed) if self._time.name == "clock" else times
 
     def data(self, text: str, length: int) -> bytes:
-        """Bytes with separators between them. Raises ValueError, also where one is missing."""
+        """Bytes with separators between them. Raises ValueError, also if a byte is missing."""
         del length
         decimal = self._bases["data"] == 10
         try:
@@ -137,14 +137,14 @@ class Pattern(Format):
         return b"".join(_byte(word, decimal=decimal) for word in words)
 
     def whole(self, text: str) -> bool:
-        """No hexadecimal byte of one digit at the end, no decimal one of less than three."""
+        """False if the last byte may be cut: fewer than two hexadecimal or three decimal digits."""
         last = _TOKEN.findall(_CLEAN.sub("", text))[-1:] or [""]
         if self._bases["data"] == 10:
             return len(last[0]) == len("255")
         return len(last[0]) % 2 == 0
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """Of the other fields."""
+        """Head from the fields other than time and data."""
         found = dict(zip(self._head, parts, strict=True))
         digits = found["id"].rstrip("xXhH") if self._bases["id"] == 16 else found["id"]
         try:
@@ -171,7 +171,7 @@ class Pattern(Format):
         return Head(number, flags, size, channel)
 
     def line(self, text: str) -> Line:
-        """Anything else: comments, a header, and what is not as the pattern says."""
+        """Parse a line that does not match the pattern: blank, comment, header or malformed."""
         text = text.strip()
         if not text:
             return Line(Verdict.BLANK)
@@ -183,7 +183,7 @@ class Pattern(Format):
         return Line(Verdict.MALFORMED)
 
     def explain(self, text: str) -> str:
-        """Where a line stops to be as the pattern says; empty if it does not."""
+        """Message with the column from which a line does not match the pattern; else empty."""
         if (match := self.regex.match(text)) and match[self.regex.groups] is None:
             at, wanted = self._wrong_value(match)
         else:
@@ -194,11 +194,11 @@ class Pattern(Format):
         return f"column {at + 1}: {wanted} expected, {repr(found) if found else 'nothing'} found"
 
     def matched_columns(self, text: str) -> int:
-        """How far the pattern matches a line."""
+        """Number of characters of a line that the pattern matches."""
         return self._end_of_match(text)[0]
 
     def _wrong_value(self, match: re.Match[str]) -> tuple[int, str]:
-        """Where in a line of the pattern's form a time or a byte is none, -1: nowhere; and what."""
+        """Position of an invalid time or byte in a matching line, -1 if none, and its field."""
         group = (self.order[0] if self.order else 0) + 1
         try:
             self.times([match[group]])
@@ -218,7 +218,7 @@ class Pattern(Format):
         return start + missing.start() + 1 if missing else -1
 
     def _end_of_match(self, text: str) -> tuple[int, str]:
-        """How far the pattern matches a line, and what should stand there."""
+        """Position up to which the pattern matches a line, and the part expected there."""
         at, k = 0, 0
         for k in range(len(self._pieces) + 1):
             match = re.match(r"[ \t]*" + "".join(self._pieces[:k]), text)
@@ -239,7 +239,7 @@ def _byte(word: str, *, decimal: bool) -> bytes:
 
 
 def _parts(pattern: str) -> list[_Field | str]:
-    """Fields and what stands between them. Raises PatternError."""
+    """Fields of a pattern and the texts between them. Raises PatternError."""
     parts: list[_Field | str] = []
     at = 0
     for match in _FIELD.finditer(pattern):
@@ -269,7 +269,7 @@ def _parts(pattern: str) -> list[_Field | str]:
 
 
 def _regex(part: _Field | str, following: _Field | str) -> str:
-    """Of a part of the pattern. A frame without data may end before the blank in front of them."""
+    """Regular expression of a part; the blank before {data} may be missing if there are no data."""
     if isinstance(part, _Field):
         if part.form == _NUMBER and not str(following).startswith(","):
             return _NUMBER_OR_COMMA

@@ -1,9 +1,9 @@
-"""What python-can prints of a frame: its `.txt` logs, and the output of `can_logger` on a screen.
+"""Frames as python-can prints them: its `.txt` logs, and the screen output of `can_logger`.
 
     Timestamp: 1.5    ID:  181    S Rx F BS    DL: 2    01 02    'ab'    Channel: can0
 
-`X`: 29 bits; `E` error, `R` remote, `F` CAN FD, `BS` BRS, `EI` ESI. Older versions print no
-direction, and `DLC:`. Behind the data stand letters and digits as text, and the channel.
+`X`: 29 bits; `E` error, `R` remote, `F` CAN FD, `BS` BRS, `EI` ESI. Older versions print `DLC:`
+and no direction. The data are followed by their letters and digits as text, and by the channel.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
 from dbc.logs.format import Format, Head, Line
 
 HEADER_LINES: Final = 100
-"""Lines before the first frame that may say anything."""
+"""Most lines before the first frame that count as a header, whatever they contain."""
 _LINE: Final = re.compile(
     r"^(?:[ \t]*Timestamp:[ \t]*(-?\d+\.\d+)[ \t]+ID:[ \t]*([0-9a-f]{3,8})[ \t]+([XS])"
     r"((?:[ \t]+(?:[RT]x|[ERF]|BS|EI))*)[ \t]+DLC?:[ \t]*(\d{1,2})((?:[ \t]+[0-9a-f]{2})*)"
@@ -32,14 +32,14 @@ class Printed(Format):
     regex = _LINE
     order = (0, 1, 2, 3, 4, 6, 5, 7)
     has_names = True
-    """The channel is at the end: of a last line nobody knows whether it is whole."""
+    """The channel is at the end, so that an unterminated last line may always be incomplete."""
 
     def __init__(self) -> None:
-        """At the start of a log."""
+        """Start before the first line of a log."""
         self._headers = 0
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """`id kind flags length channel`."""
+        """Head from `id kind flags length channel`."""
         digits, kind, words, length, channel = parts
         flags = 0
         for word in words.split():
@@ -52,7 +52,7 @@ class Printed(Format):
         return Head(number, flags, size, channel)
 
     def line(self, text: str) -> Line:
-        """Anything else: what `can_logger` prints before the first frame."""
+        """Parse a line without a frame, such as those `can_logger` prints before the first one."""
         if not text.strip():
             return Line(Verdict.BLANK)
         if not self.began and self._headers < HEADER_LINES:

@@ -1,4 +1,4 @@
-"""Which pattern fits the lines of a log: `--line auto`, and recorders that are recognised."""
+"""Find the pattern that fits the lines of a log: `--line auto`, and known recorders."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from dbc.logs.guesses import NUMBER, guesses, unit_of, variants
 from dbc.logs.pattern import COMMENT
 
 _WRONG_LENGTHS: Final = 20
-"""A column is no length if it differs from the number of bytes in one of so many lines, or more."""
+"""A column is no length if it differs from the number of bytes in one of this many lines."""
 _LENGTH_BEFORE: Final = re.compile(r"\s*[0-9A-Fa-f][\s,;]+(?:0[xX])?[0-9A-Fa-f]{2}\b")
 
 _IDENTIFIER: Final = re.compile(r"[0-9A-Fa-f]{3,}")
-"""No name of a channel."""
+"""A text that looks like an identifier, and so is not accepted as a channel's name."""
 
 
 class Fit(NamedTuple):
-    """How many lines are frames by a pattern, and how many neither that nor comments.
+    """How a pattern fits: number of lines that are frames (good), or neither that nor comments.
 
-    wrong_length: of the latter, frames but for their length. length_in_data: frames whose data
-    begin with one digit and go on with two, as behind a length that the pattern has no place for.
-    header: of the lines that are none, those before the first frame. stamps: times of the frames.
+    wrong_length: bad lines that would be frames with another length. length_in_data: frames whose
+    data begin with one digit and continue with two, probably a length without a field in the
+    pattern. header: bad lines before the first frame. stamps: times of the frames.
     """
 
     good: int
@@ -38,14 +38,14 @@ class Fit(NamedTuple):
 
     @property
     def possible(self) -> bool:
-        """Whether most lines behind a header fit, and the length is where the pattern has it."""
+        """Whether most lines behind a header fit, and the pattern has the length in its place."""
         most = self.good > self.bad - self.header
         lengths = self.wrong_length * _WRONG_LENGTHS < self.good + self.wrong_length
         return most and self.good > 0 and lengths and self.length_in_data * 2 <= self.good
 
 
 class Proposal(NamedTuple):
-    """A pattern, the numbers of lines that it fits and does not, and what was assumed."""
+    """A pattern, the numbers of lines that match it and that do not, and what was assumed."""
 
     pattern: str
     good: int
@@ -54,7 +54,7 @@ class Proposal(NamedTuple):
 
 
 def fit(pattern: str, lines: Sequence[str]) -> Fit:
-    """How these lines fit a pattern."""
+    """Count how these lines fit a pattern."""
     form = format_of(pattern)
     good = bad = header = wrong_length = length_in_data = 0
     stamps = []
@@ -81,7 +81,7 @@ def fit(pattern: str, lines: Sequence[str]) -> Fit:
 
 
 def _is_frame(form: Format, row: tuple[str, ...]) -> tuple[bool, bool]:
-    """Whether a line is a frame but for its length, and whether its length is right."""
+    """Whether a line is a frame, its length aside, and whether its length is right."""
     try:
         head = form.head(row[1:-2])
         data = form.data(row[-2], head.length)
@@ -95,7 +95,7 @@ def _is_frame(form: Format, row: tuple[str, ...]) -> tuple[bool, bool]:
 
 
 def best_of(patterns: Iterable[str], lines: Sequence[str]) -> tuple[str, Fit] | None:
-    """The possible pattern that fits most of these lines, the first one of several."""
+    """The possible pattern that fits most lines; the first one if several fit equally well."""
     best: tuple[str, Fit] | None = None
     for pattern in patterns:
         found = fit(pattern, lines)
@@ -107,14 +107,14 @@ def best_of(patterns: Iterable[str], lines: Sequence[str]) -> tuple[str, Fit] | 
 
 
 def recognised(lines: Sequence[str]) -> Proposal | None:
-    """The pattern of a recorder that is known, if it fits most of these lines."""
+    """The pattern of a known recorder, if it fits more than half of these lines."""
     found = [(pattern, fit(pattern, lines)) for pattern in DIALECTS.values()]
     pattern, fits = max(found, key=lambda item: item[1].good)
     return Proposal(pattern, fits.good, fits.bad) if fits.good > fits.bad else None
 
 
 def proposed(lines: Sequence[str]) -> Proposal | None:
-    """The pattern that fits most of these lines, of a recorder that is known or another one."""
+    """The pattern that fits most of these lines, of a known recorder if one fits."""
     if (known := recognised(lines)) is not None:
         return known
     texts = [line for line in lines if line.strip() and not line.strip().startswith(COMMENT)]
@@ -129,7 +129,7 @@ def proposed(lines: Sequence[str]) -> Proposal | None:
 
 
 def _with_words(pattern: str, fits: Fit) -> Proposal:
-    """A pattern that fits, with the unit of its time, and what was assumed."""
+    """A proposal from a fitting pattern, with the unit of its time and what was assumed."""
     assumed = []
     if NUMBER in pattern and pattern not in DIALECTS.values():
         unit, why = unit_of(fits.stamps)

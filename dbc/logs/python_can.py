@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 class PythonCan(ObjectReader):
-    """A log by python-can's reader for its ending.
+    """A log read by the reader that python-can has for its ending.
 
-    python-can's time is a float of seconds: rounded to the nearest nanosecond, exact to about
-    0.2 us at today's dates. Its readers stop at the first fault.
+    python-can's time is a float in seconds. It is rounded to the nearest nanosecond, and exact to
+    about 0.2 us at today's dates. Its readers stop at the first fault.
     """
 
     def frames(self) -> Iterator[Frame]:
-        """Raises LogError for a file that python-can cannot read."""
+        """Yield all frames. Raises LogError for a file that python-can cannot read."""
         import can
 
         count = 0
@@ -40,9 +40,9 @@ class PythonCan(ObjectReader):
 
 
 def mf4_module() -> ModuleType:
-    """`can.io.mf4`, with asammdf: a program that starts on a bus loads python-can without it.
+    """`can.io.mf4` with asammdf, without which a program that starts on a bus loads python-can.
 
-    Loaded again it fills in the same names, which its classes that are known by now look up.
+    The module is reloaded into its own namespace, in which its existing classes look up names.
     """
     from can.io import mf4
 

@@ -1,11 +1,11 @@
-"""What candump shows on a screen, with times: ` (1684144800.123456)  can0  123   [2]  01 02`.
+"""Screen output of candump, with times: ` (1684144800.123456)  can0  123   [2]  01 02`.
 
-As can-utils' lib.c prints it: an identifier of eight digits has 29 bits, a length of two digits is
-CAN FD's, `{9}` (`-8`) is a raw length. Behind the channel `RX B E` (`-x`): direction, BRS, ESI; at
-the end `remote request`, `ERRORFRAME`, or the bytes as text (`-a`).
+The form is that of can-utils' lib.c: an identifier of eight digits has 29 bits, a length of two
+digits means CAN FD, `{9}` (`-8`) is a raw length. Behind the channel may follow `RX B E` (`-x`):
+direction, BRS, ESI; at the end `remote request`, `ERRORFRAME`, or the bytes as text (`-a`).
 
 Times: seconds since 1970 (`-ta`, ten digits), dates (`-tA`), since the start (`-tz`) or since the
-frame before (`-td`). The last two look alike; only differences go down as often as up.
+frame before (`-td`). The last two look alike, but only differences fall as often as they rise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, nanoseconds
 from dbc.logs.times import Differences, date_ns
 
 HEADER_LINES: Final = 100
-"""Lines before the first frame that may say anything."""
+"""Most lines before the first frame that count as a header, whatever they contain."""
 SINCE_START: Final = "times are since the start of the log (candump -tz); none of them is a date"
 DIFFERENCES: Final = "times are differences (candump -td): they are added up from 0"
 LOCAL: Final = "times are dates without a zone (candump -tA): read as UTC"
@@ -39,11 +39,11 @@ _SHOWN: Final = re.compile(rf"(?:\({_STAMP}\)[ \t]+)?{_FRAME}")
 _TIME: Final = re.compile(rf"\(({_STAMP})\)")
 _XL: Final = re.compile(rf"\({_STAMP}\)[ \t]+\S+.*\[\d{{4}}\][ \t]+\([0-9A-F]{{2}}\|.*")
 _SINCE_1970: Final = 10
-"""Digits of candump's seconds since 1970; of those that count from the start it prints fewer."""
+"""Digits of candump's seconds since 1970; seconds since the start have fewer digits."""
 _ERROR_BIT: Final = 0x2000_0000
 _MOST_BACK: Final = 0.1
-"""Of the span of all stamps: one that goes back by more is a difference. Times since the start go
-back where frames of several channels come in another order, and then by little."""
+"""Share of the span of all stamps: stamps that fall by more are differences. Times since the start
+fall only if frames of several channels are not in order, and then by little."""
 
 
 class Screen(Format):
@@ -53,14 +53,14 @@ class Screen(Format):
     order = (0, 1, 2, 3, 4, 5, 6, 8, 7, 9)
 
     def __init__(self, lines: Sequence[str] = ()) -> None:
-        """lines: the first ones of the log, by which differences are recognised."""
+        """lines: the first lines of the log, by which differences are recognised."""
         self.notes: list[str] = []
         self._headers = 0
         self._from_start = False
         self._differences = Differences() if _are_differences(_stamps_of(lines)) else None
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
-        """Seconds with a point, or dates."""
+        """Nanoseconds of seconds with a point, or of dates."""
         if not texts:
             return np.zeros(0, dtype=np.int64)
         if "-" in texts[0]:
@@ -70,7 +70,7 @@ class Screen(Format):
         return nanoseconds(texts)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """As they are; differences added up."""
+        """Times as they are; differences are summed."""
         if not self._from_start:
             return times
         self._note(DIFFERENCES if self._differences else SINCE_START)
@@ -81,7 +81,7 @@ class Screen(Format):
             self.notes.append(text)
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """`channel direction brs esi id length kind`, as far as they are there."""
+        """Head from `channel direction brs esi id length kind`; absent ones are empty."""
         channel, direction, brs, esi, digits, length, kind = parts
         number, long = int(digits, 16), len(digits) == len("00000123")
         flags = TX if direction == "TX" else 0
@@ -99,11 +99,11 @@ class Screen(Format):
             flags |= FD | (BRS if brs == "B" else 0) | (ESI if esi == "E" else 0)
         if raw and size > CLASSIC_BYTES:
             return Head(number, flags, CLASSIC_BYTES, channel, size)
-        # `remote request` may have been cut off behind `[0]`: such a last line is not whole.
+        # Behind `[0]`, `remote request` may have been cut off: such a last line is incomplete.
         return Head(number, flags, size if size or flags & FD else -1, channel)
 
     def line(self, text: str) -> Line:
-        """Anything else: a frame of CAN XL, frames that were lost, what a shell said before."""
+        """Parse any other line: a CAN XL frame, a count of lost frames, shell output before."""
         is_detail = text.startswith("\t")  # of the error frame in the line before (-e)
         text = text.strip()
         if not text:
@@ -111,7 +111,7 @@ class Screen(Format):
         if is_detail or text.startswith(("#", ";", "//")):
             return Line(Verdict.COMMENT)
         if stamp := _TIME.match(text):
-            # With its time: the next one may count from it.
+            # The time is kept, because the next one may be relative to it.
             verdict = Verdict.XL if _XL.fullmatch(text) else Verdict.MALFORMED
             return Line(verdict, None, _stamp_ns(stamp[1]))
         if DROPS.fullmatch(text.encode("latin-1", "replace")):
@@ -130,15 +130,15 @@ def _stamp_ns(text: str) -> int | None:
 
 
 def _stamps_of(lines: Sequence[str]) -> NDArray[np.int64]:
-    """Of these lines, those that count from the start or from the frame before."""
+    """Stamps in these lines that count from the start or from the frame before."""
     found = [match[1] for line in lines if (match := _TIME.match(line.strip()))]
     early = [text for text in found if "-" not in text and text.index(".") < _SINCE_1970]
     return nanoseconds(early)
 
 
 def _are_differences(stamps: NDArray[np.int64]) -> bool:
-    """Whether stamps count from the one before: they go down, or are always the same."""
-    # The first one may be 0 in both.
+    """Whether stamps are differences: they fall far enough, or are all the same."""
+    # The first stamp may be 0 in both cases.
     later = stamps[1:]
     if later.size < 2:
         return bool((np.diff(stamps) < 0).any())
@@ -148,5 +148,5 @@ def _are_differences(stamps: NDArray[np.int64]) -> bool:
 
 
 def is_screen_form(text: str) -> bool:
-    """Whether a line is what candump shows on a screen, with or without a time."""
+    """Whether a line has the form of candump's screen output, with or without a time."""
     return _SHOWN.fullmatch(text.strip()) is not None

@@ -1,8 +1,8 @@
-"""Logs in lines of text, whatever their format: counts, cut files and blocks, as of candump's.
+"""Reader of text logs of any format: counts, truncated files and blocks, as for candump logs.
 
-A format is a `Format`: a regular expression for its plain lines, of which many are read at once,
-and a function for any other line. What is between a frame's time and its data comes again and
-again, so it is read once and remembered.
+A format is a `Format`: a regular expression for its plain lines, many of which are read at once,
+and a function for any other line. The text between the time and the data of a frame (its head)
+often recurs, so it is parsed once and kept.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ from dbc.logs.pattern import Pattern
 from dbc.text import printable, without_colours
 
 _RUN: Final = 16
-"""Lines of a run of plain or other ones, on average: with shorter ones all are read one by one."""
+"""Mean length in lines of runs of plain or other lines, below which lines are read one by one."""
 _SECOND: Final = 1_000_000_000
 _HEADS_KEPT: Final = 100_000
 _BLANK: Final = re.compile(r"\n{3,}")
 
 
 class TextReader(Reader):
-    """Frames of a log in lines, see `Reader`: the same counts, problems and rules for cut files.
+    """Frames of a text log, with the counts, problems and rules for truncated files of `Reader`.
 
-    An unterminated last line is believed if it says how long it is and is that long, with the last
-    digit of its last byte; where lines do not say that, if one of the same head was as long. Else
-    its verdict is CUT.
+    An unterminated last line is accepted if it has the length that it states, with the last digit
+    of its last byte. If lines state no length, it must be as long as the last line of the same
+    identifier. Otherwise its verdict is CUT.
     """
 
     def __init__(
         self, source: Path | str, make: Callable[[], Format], *, strict: bool = False
     ) -> None:
-        """`make` gives the format as it is at the start of a log."""
+        """`make` returns the format in its state at the start of a log."""
         super().__init__(source, strict=strict)
         self._make = make
 
@@ -78,13 +78,13 @@ class TextReader(Reader):
             self._fault(Problem(self.lines, Verdict.CUT, self.truncated))
 
     def _texts(self, chunks: Iterable[bytes]) -> Iterator[tuple[str, bool]]:
-        """Whole lines with a line feed each; what stands behind the last one, and True."""
+        """Yield (whole lines, False), at the end (text behind the last line feed, True)."""
         rest = ""
         skipping = old = False
         for k, chunk in enumerate(chunks):
             text = rest + chunk.decode("latin-1")
             old = old or (not k and "\n" not in text and "\r" in text)
-            if old:  # line ends of a Macintosh
+            if old:  # line ends of old Macintosh systems
                 text = text.replace("\r", "\n")
             if skipping:
                 start = text.find("\n") + 1
@@ -108,7 +108,7 @@ class TextReader(Reader):
     def _last_line(self, text: str) -> Iterator[Block]:
         form = self._format
         row = self._matches(text)[0]
-        # What a name stands for is at the end of a line.
+        # The identifier of a name is at the end of a line.
         plain = row[0] and not form.has_names
         line = self._plain(row) if plain else form.line(text)
         # The start of a frame may look like an event.
@@ -126,7 +126,7 @@ class TextReader(Reader):
             yield self._block(times, [line.head or Head(0)], [line.data])
 
     def _plain(self, row: tuple[str, ...]) -> Line:
-        """A plain line by itself, whole as far as it says how long it is."""
+        """Parse one plain line; `sure` if its stated length shows that it is complete."""
         head = self._head(row[1:-2])
         try:
             t_ns = self._format.times([row[0]]).item()
@@ -140,13 +140,13 @@ class TextReader(Reader):
         return Line(verdict_with(head, data), head, t_ns, data, sure)
 
     def _alike(self, row: tuple[str, ...], head: Head) -> bool:
-        """Whether a plain line is of this identifier, whatever else its head says."""
+        """Whether a plain line has the identifier and length of this head."""
         other = self._head(row[1:-2])
         same = other.can_id == head.can_id and other.length == head.length
         return same and not (other.flags ^ head.flags) & EXTENDED
 
     def _piece(self, text: str) -> Iterator[Block]:
-        """Whole lines: runs of plain ones at once, where their format allows it."""
+        """Read whole lines: runs of plain ones at once, if the format allows it."""
         data = text.encode("latin-1") if self._format.shape is not None else b""
         at = 0
         while at < len(data) and (shape := self._format.shape) is not None:
@@ -171,7 +171,7 @@ class TextReader(Reader):
         return self._by_lines(text[scan.start.item(first) : scan.start.item(last)])
 
     def _run(self, rows: Block) -> Block:
-        """Plain lines, one after another."""
+        """The block of a run of plain lines, which are counted."""
         self._format.began = True
         fd = int(np.count_nonzero(rows.flags & FD))
         self.lines += rows.size
@@ -182,7 +182,7 @@ class TextReader(Reader):
         return rows._replace(t_ns=self._moved(times))
 
     def _known(self, text: str, line: str) -> Known | None:
-        """What a head says of plain data frames; None for all else."""
+        """Fields of a head of plain data frames; None for any other head."""
         parts = tuple(words_of(text)) if self._format.splits else (text,)
         self._format.learn(line)
         head = checked(self._format.head(parts))
@@ -191,7 +191,7 @@ class TextReader(Reader):
         return Known(head.can_id, head.flags, head.length, head.channel, head.dlc)
 
     def _by_lines(self, text: str) -> Iterator[Block]:
-        """Whole lines; again from the line behind one that has changed what plain lines are."""
+        """Read whole lines with the regular expression; again behind a line that changes it."""
         while text:
             rows = self._recent = self._matches(text[:-1])
             self._text = text
@@ -216,7 +216,7 @@ class TextReader(Reader):
         return rows
 
     def _others(self, rows: list[tuple[str, ...]]) -> tuple[dict[int, Line], int]:
-        """Lines that are not plain, and how many there are up to one that changes the format."""
+        """Lines that are not plain, and the number of rows before a change of the format."""
         lines: dict[int, Line] = {}
         form = self._format
         began = form.began
@@ -230,7 +230,7 @@ class TextReader(Reader):
                 return lines, k
             lines[k] = form.line(row[-1]) if row[-1] else Line(Verdict.BLANK)
             if changes:
-                # What heads say depends on it.
+                # The meaning of heads depends on the format.
                 self._heads.clear()
                 self._scanner = Scanner(self._known)
                 return lines, 1
@@ -240,7 +240,7 @@ class TextReader(Reader):
     def _rows(
         self, rows: list[tuple[str, ...]], lines: dict[int, Line]
     ) -> tuple[Block | None, LogError | None]:
-        """Frames of lines, of which some have been read; those before the first fault, and that."""
+        """Frames of rows, `lines` being parsed already; with a fault, those before it, and it."""
         texts = {k: rows[k][-1] for k in lines}
         times, timed = self._times(rows, lines)
         heads, bodies = [Head(0)] * len(rows), [b""] * len(rows)
@@ -290,14 +290,14 @@ class TextReader(Reader):
         return self._block(times[kept], heads, bodies), fault
 
     def _line_of(self, row: tuple[str, ...], k: int) -> str:
-        """The line of a row, the k-th of those being read; its groups where nobody will see it."""
+        """Line k of the text, for a message; only its groups if no message will show it."""
         shown = self.strict or len(self.problems) < PROBLEMS_KEPT
         return self._text.split("\n", k + 1)[k] if shown else " ".join(row[:-1])
 
     def _times(
         self, rows: list[tuple[str, ...]], lines: dict[int, Line]
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Of every line, and which have one. A plain line whose time is none is a faulty one."""
+        """Times of all lines, and which have one. A plain line with a bad time is malformed."""
         plain = [k for k in range(len(rows)) if k not in lines]
         times, timed = np.zeros(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.bool_)
         try:
@@ -315,7 +315,7 @@ class TextReader(Reader):
         return times, timed
 
     def _one(self, text: str, verdict: Verdict) -> None:
-        """Count a line that gives no frame."""
+        """Count a line without a frame."""
         self.lines += 1
         self.counts[verdict] += 1
         if verdict is Verdict.HEADER:
@@ -324,9 +324,9 @@ class TextReader(Reader):
             self._report(self.lines, verdict, text)
 
     def nearest_header(self) -> Problem | None:
-        """Of the lines that were taken for a header, the one that is most like a frame.
+        """The line among those counted as header that is most like a frame.
 
-        None where the format of the log cannot say that.
+        None if the format cannot compare lines, or there is no header.
         """
         form = self._format
         if not isinstance(form, Pattern) or not self._headers:
@@ -344,7 +344,7 @@ class TextReader(Reader):
         self._fault(Problem(line, verdict, shown))
 
     def _explained(self, text: str) -> str:
-        """A line, behind what is wrong with it as far as its format can say that."""
+        """A line, preceded by its fault if the format can name that."""
         text = text[:MAX_LINE].rstrip()
         reason = self._format.explain(text)
         text = text.lstrip()
@@ -357,9 +357,9 @@ class TextReader(Reader):
         return head
 
     def _moved(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Forward, where the log begins before 0."""
+        """Shift the times forward if the log begins before 0."""
         if self._shift_ns is None:
-            # Before a trigger; candump's text, for one, has no sign.
+            # A log may begin before its trigger, but candump's text, for example, has no sign.
             seconds = max(-(times.item(0) // _SECOND), 0)
             self._shift_ns = seconds * _SECOND
             if seconds:
@@ -369,7 +369,7 @@ class TextReader(Reader):
     def _block(
         self, times: NDArray[np.int64], heads: Sequence[Head], bodies: Sequence[bytes]
     ) -> Block:
-        # Few different ones, and comparing them by identity is enough.
+        # There are few different heads, and comparing them by identity is enough.
         number = {id(head): head for head in heads}
         place = {key: k for k, key in enumerate(number)}
         which = np.array([place[id(head)] for head in heads], dtype=np.intp)

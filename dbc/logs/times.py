@@ -1,4 +1,4 @@
-"""Times of log lines: dates, times of day, and stamps that count from the one before."""
+"""Times of log lines: dates, times of day, and differences from the stamp before."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _CSS: Final = re.compile(
 
 
 def clock_ns(text: str) -> int:
-    """A time of day, `22:20:14.992`; a colon or a comma may stand for the point.
+    """Nanoseconds of a time of day, `22:20:14.992`, also with a colon or comma for the point.
 
-    Hours may be many, as of a time since a start. Raises ValueError.
+    Hours have no limit, because it may be a time since a start. Raises ValueError.
     """
     hours, minutes, rest = text.split(":", 2)
     seconds, _, fraction = rest.replace(":", ".").replace(",", ".").partition(".")
@@ -33,33 +33,33 @@ def clock_ns(text: str) -> int:
 
 
 def date_ns(text: str) -> int:
-    """ISO 8601, exact to the nanosecond; UTC where it names no zone. Raises ValueError."""
+    """Exact nanoseconds of an ISO 8601 date; UTC if it has no zone. Raises ValueError."""
     match = _DATE.fullmatch(text.strip())
     date, fraction, zone = match.groups() if match else (text, None, None)
     if ":" not in date:
-        # A year and a month would pass for a number with a zone.
+        # Else the month behind a year would be taken for a zone.
         date, fraction, zone = text.strip(), None, None
     moment = datetime.fromisoformat(date + (zone or ""))
     return epoch_ns(moment) + int((fraction or "").ljust(9, "0"))
 
 
 def epoch_ns(moment: datetime) -> int:
-    """Nanoseconds since 1970; UTC where the moment has no zone."""
+    """Nanoseconds since 1970; UTC if the moment has no zone."""
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
     span = moment - _EPOCH
     return (span.days * 86_400 + span.seconds) * SECOND + span.microseconds * 1000
 
 
 class DayTimes:
-    """Times of day, which go on behind midnight: a step back by more than half a day."""
+    """Times of day that continue past midnight, a step back by more than half a day."""
 
     def __init__(self) -> None:
-        """At the start of a log."""
+        """Start on day 0."""
         self._days = 0
         self._last_ns = 0
 
     def add(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Of consecutive lines; those that are not `timed` have no time."""
+        """Times of consecutive lines; lines that are not `timed` have no time."""
         stamps = times[timed]
         if not stamps.size:
             return times
@@ -72,14 +72,14 @@ class DayTimes:
 
 
 class Differences:
-    """Stamps that count from the line before, added up."""
+    """Sums of stamps that count from the line before."""
 
     def __init__(self, last_ns: int = 0) -> None:
         """last_ns: the time of the line before the first one."""
         self._last_ns = last_ns
 
     def add(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Of consecutive lines; those that are not `timed` have no time."""
+        """Times of consecutive lines; lines that are not `timed` have no time."""
         if not timed.any():
             return times
         total: NDArray[np.int64] = np.cumsum(np.where(timed, times, 0)) + self._last_ns
@@ -88,10 +88,10 @@ class Differences:
 
 
 def logger_ns(text: str, start: datetime | None) -> int:
-    """A stamp of a CL1000 or CL2000: `20230515T100000250`, or `15T100000250` with the day alone.
+    """Nanoseconds of a CL1000/CL2000 stamp: `20230515T100000250`, or `15T100000250` with the day.
 
-    start: when the log was started, whose month the day is of, or of the next one. Without it, of
-    January 1970. Raises ValueError.
+    start: start of the log; a day without a month is in its month, or in the next one. Without
+    `start` it is in January 1970. Raises ValueError.
     """
     match = _CSS.fullmatch(text)
     if match is None:

@@ -1,8 +1,8 @@
-"""PEAK's TRC, versions 1.0 to 1.3, 2.0 and 2.1: what its lines say.
+"""PEAK's TRC, versions 1.0 to 1.3, 2.0 and 2.1: the format of its lines.
 
-Own, because python-can's reader knows no 1.2, stops at PEAK's own sample, and drops error, status
-and short lines in silence (docs/upstream/trc.md). The clock of `$STARTTIME` is that of the
-recording machine, in no named zone: it is read as UTC.
+This module exists because python-can's reader does not know version 1.2, stops at PEAK's own
+sample, and drops error, status and short lines without a message (docs/upstream/trc.md).
+`$STARTTIME` is on the clock of the recording machine, without a time zone: it is read as UTC.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, framed,
 from dbc.logs.lines import shape_of
 
 _EPOCH_DAYS: Final = 25_569
-"""From 30 December 1899, where these days count from, to 1970."""
+"""Days from 30 December 1899, the origin of `$STARTTIME`, to 1970."""
 _VERSIONS: Final = {
     "1.0": "O I L D", "1.1": "O T I L D", "1.2": "O B T I L D", "1.3": "O B T I R L D",
     "2.0": "O T I d L D", "2.1": "O T B I d R L D",
 }  # fmt: skip
-"""Columns behind the number, as `$COLUMNS` names them; T is Rx, Tx, Error or Warng in 1.x."""
+"""Columns behind the number, named as in `$COLUMNS`; in 1.x, T is Rx, Tx, Error or Warng."""
 _FORMS: Final = {
     "T": r"([RrTt]x|DT|F[DBE]|BI)",
     "I": r"([0-9A-Fa-f]{4,8})",
@@ -52,13 +52,13 @@ class Trc(Format):
     splits = True
 
     def __init__(self) -> None:
-        """As a log without a header is: version 1.0."""
+        """Start as for a log without a header: version 1.0."""
         self._start_ns = 0
         self._columns: list[str] = []
         self._set("1.0")
 
     def _set(self, version: str, columns: Sequence[str] = ()) -> None:
-        """How its lines look. Raises KeyError for a version that nobody knows."""
+        """Set the columns of the lines. Raises KeyError for unknown versions or column sets."""
         self._columns = list(columns or _VERSIONS[version].split())
         names = self._columns
         if names[-1] != "D" or not {"O", "I"} <= set(names) or not {"L", "l"} & set(names):
@@ -75,16 +75,16 @@ class Trc(Format):
         self.shape = shape_of(MS, 1, len(self._head)) if names[0] == "O" else None
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
-        """Of milliseconds."""
+        """Nanoseconds of times in milliseconds. Raises ValueError."""
         return nanoseconds(texts, MS)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """From the start of the log on."""
+        """Times since 1970, from those since the start of the log."""
         del timed
         return times + self._start_ns
 
     def head(self, parts: tuple[str, ...]) -> Head:
-        """Of a plain line."""
+        """Head of a plain line."""
         return self._of(dict(zip(self._head, parts, strict=True)))
 
     def _of(self, parts: dict[str, str]) -> Head:
@@ -122,11 +122,11 @@ class Trc(Format):
         return Head(int(name, 16), flags, size, channel, raw)
 
     def changes(self, text: str) -> bool:
-        """`;$KEY=value`."""
+        """True for a line `;$KEY=value`."""
         return _KEY.match(text.strip()) is not None
 
     def line(self, text: str) -> Line:
-        """Header, comment, remote and error frames, states."""
+        """Parse a header, a comment, a remote or error frame, or a state."""
         text = text.strip()
         if not text:
             return Line(Verdict.BLANK)
@@ -159,7 +159,7 @@ class Trc(Format):
             return Line(Verdict.MALFORMED)
 
     def _key(self, key: str, value: str) -> Verdict:
-        """`;$KEY=value`."""
+        """Apply `;$KEY=value` of the header."""
         try:
             if key == "FILEVERSION":
                 self._set(value)

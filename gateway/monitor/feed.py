@@ -1,8 +1,8 @@
-"""One source, polled ten times a second, for any number of viewers; none of them can delay it.
+"""One source, polled ten times a second, for any number of viewers; no viewer can delay it.
 
-The source has a thread of its own. Each look becomes a picture; there is only ever the newest, so
-nothing queues up: a viewer who is slow gets fewer of them, and with the next one all points of the
-traces since the last that it got.
+The source has its own thread. Each poll makes a picture, and only the newest one is kept, so that
+no queue grows: a slow viewer gets fewer pictures, each with all points of the traces since the last
+one that it got.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ log = logging.getLogger(__name__)
 
 PERIOD_S: Final = 0.1
 IDLE_S: Final = 1.0
-"""A picture in which nothing is new is sent this often, as a sign of life."""
+"""Interval at which a picture without changes is sent, as a sign of life."""
 LONGEST_S: Final = 0.5
-"""Time that may pass between two looks: a machine that stood still does not make a log jump."""
+"""Most time that a log advances in a poll, so that it does not jump if the machine stood still."""
 SLOWEST, FASTEST = 0.1, 100.0
 SHORTENED: Final = 4
-"""Digits of the points of the traces, which are the most of what is sent."""
+"""Significant digits of the points of the traces, which are the largest part of a message."""
 
 
 class Picture:
-    """What one look gave, as text for the page. Never changes."""
+    """Result of one poll as text for the page. Immutable."""
 
     def __init__(self, number: int, shown: Snapshot, about: Mapping[str, Any]) -> None:
-        """about: the source's state, for the page."""
+        """about: state of the source, for the page."""
         self.number = number
         self.shown = shown
         plain = as_json(shown)
@@ -52,11 +52,11 @@ class Picture:
         return t_s[-1] if t_s else None
 
     def differs(self, other: Picture | None) -> bool:
-        """Whether there is anything new to see."""
+        """Whether this picture shows anything that the other does not."""
         return other is None or (self.head, self.events) != (other.head, other.events)
 
     def message(self, before: Picture | None) -> str:
-        """For a viewer who had that picture last; None: had none."""
+        """Message for a viewer whose last picture was `before`, or who had none (None)."""
         parts = [f'"head":{self.head}']
         if before is None or before.events != self.events:
             parts.append(f'"events":{self.events}')
@@ -66,12 +66,12 @@ class Picture:
         return "{" + ",".join(parts) + "}"
 
     def _since(self, after_s: float | None) -> str:
-        """Points later than a time; all where the traces do not go on from there."""
+        """Points after a time; all points if the traces do not continue from there."""
         if after_s not in self._points:
             traces = self.shown.history
             t_s = traces[0].t_s if traces else ()
             first = bisect_right(t_s, after_s) if after_s is not None else 0
-            # A seek, or a gap as long as the traces.
+            # All points are new after a seek, or after a gap as long as the traces.
             fresh = first == 0 or first == len(t_s)
             begin = 0 if fresh else first
             drives = {t.node: _columns(t, begin) for t in traces}
@@ -104,7 +104,7 @@ def _text(value: Any) -> str:
 
 
 class Feed:
-    """The source, what viewers have asked of it, and the newest picture."""
+    """The source, the requests of the viewers, and the newest picture."""
 
     def __init__(
         self,
@@ -113,14 +113,14 @@ class Feed:
         waits: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """waits: a log stands still as long as nobody looks."""
+        """waits: a log does not advance while there is no viewer."""
         self.picture: Picture | None = None
-        """The newest."""
+        """The newest picture."""
         self.viewers = 0
         self.counts: Counter[str] = Counter()
-        """Of viewers: `dropped` because slow, `refused` by cause, `bad_request`."""
+        """Viewers and requests that were rejected or dropped, by cause."""
         self.happened: Counter[str] = Counter()
-        """Events by level, as they were told."""
+        """Number of logged events by level."""
         self._source = source
         self._live = source.span_s is None
         self._waits = waits and not self._live
@@ -130,14 +130,14 @@ class Feed:
         self._events: tuple[Event, ...] = ()
         self._seeking = not self._live
         self._shown: Picture | None = None
-        """The newest in which something is new, or that is due: what viewers get."""
+        """The newest picture that has changes or is due; viewers get this one."""
         self._new = asyncio.Event()
 
     def ask(self, what: object) -> bool:
-        """A viewer's wish: {"seek": s}, {"pause": bool} or {"speed": x}. False if it is none.
+        """Accept a request: {"seek": s}, {"pause": bool} or {"speed": x}; False for any other.
 
-        Nothing else exists, and on a bus nothing is done at all. It is done with the next look;
-        of several seeks before that only the last.
+        On a bus a request has no effect. On a log the next poll executes it; of several seeks
+        before that, only the last one.
         """
         if not isinstance(what, dict) or len(what) != 1:
             return False
@@ -154,9 +154,9 @@ class Feed:
         return good
 
     def look(self, orders: Mapping[str, float | bool] | None = None) -> Picture:
-        """Let time pass and make the next picture. In one thread at a time.
+        """Poll the source: let time pass, and make the next picture. In one thread at a time.
 
-        orders: what viewers asked for; None takes it from where `ask` left it.
+        orders: requests of viewers; None stands for those that `ask` has accepted.
         """
         if orders is None:
             orders = self._asked()
@@ -187,7 +187,7 @@ class Feed:
         return self.picture
 
     async def play(self) -> None:
-        """Look, and wake who waits, until cancelled. Whatever a look raises comes out here."""
+        """Poll, and wake waiting viewers, until cancelled. Raises whatever a poll raises."""
         loop = asyncio.get_running_loop()
         sent_s = -math.inf
         with ThreadPoolExecutor(1, thread_name_prefix="monitor") as thread:
@@ -201,7 +201,7 @@ class Feed:
                 await asyncio.sleep(max(PERIOD_S - (loop.time() - begin), 0.01))
 
     async def after(self, before: Picture | None) -> Picture:
-        """The newest picture, once there is one that this viewer has not had."""
+        """Wait for a picture other than `before`, the viewer's last one, and return it."""
         while self._shown is None or self._shown is before:
             await self._new.wait()
         return self._shown
@@ -211,10 +211,10 @@ class Feed:
         return orders
 
     def _log_events(self, events: tuple[Event, ...]) -> None:
-        """New events to the log, by their level; not those that a seek jumps over.
+        """Log new events by their level, except those that a seek jumps over.
 
-        A place in the code for each level: what the log allows is counted by place, and many of
-        one level should not use up what is allowed to the others.
+        Each level has its own call in the code, because the log limits messages by place of call:
+        many events of one level must not use up the limit of the others.
         """
         for event in () if self._seeking else added(self._events, events):
             self.happened[event.level] += 1
@@ -230,7 +230,7 @@ class Feed:
 
 
 def added(before: tuple[Event, ...], after: tuple[Event, ...]) -> Iterator[Event]:
-    """What was appended to a list whose oldest entries may have gone."""
+    """Yield the entries appended to a list whose oldest entries may have been dropped."""
     if before == after:
         return
     for gone in range(len(before) + 1):

@@ -1,8 +1,8 @@
-"""Checks before every request: methods, host names, the token; and headers of each answer.
+"""Checks before every request: methods, host names, the token; and headers of each response.
 
-Starlette parses; its own middleware does not do the same. `TrustedHostMiddleware` has no rule for
-addresses in numbers, `AuthenticationMiddleware` no limit for wrong tokens, neither knows Origin or
-counts what it refuses.
+Starlette parses requests, but its own middleware is not sufficient. `TrustedHostMiddleware` has no
+rule for numeric addresses, `AuthenticationMiddleware` no limit for wrong tokens; neither checks
+Origin or counts rejected requests.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _RAW: Final = tuple((name.encode(), value.encode()) for name, value in HEADERS)
 
 
 class Guard:
-    """ASGI middleware: lets through what `Access` lets through, and counts the rest by cause."""
+    """ASGI middleware: passes on requests that `Access` allows, and counts the others by cause."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class Guard:
         counts: Counter[str],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """counts: of what was refused. clock: in seconds, for the limit of wrong tokens."""
+        """counts: of rejected requests. clock: in seconds, for the limit of wrong tokens."""
         self._app = app
         self._access = access
         self._counts = counts
@@ -72,7 +72,7 @@ class Guard:
             log.info("refused %s: %s", _address(scope), refusal.cause)
             await _refuse(refusal, scope, receive, send_response)
         elif given is not None:
-            # Out of the address line at once, so that it is neither kept nor shown there.
+            # Redirect, so that the token is neither shown in the address bar nor in its history.
             answer = RedirectResponse("/", status_code=303)
             answer.set_cookie(
                 cookie_name(scope), self._access.session, httponly=True, samesite="strict", path="/"
@@ -82,7 +82,7 @@ class Guard:
             await self._app(scope, receive, send_response)
 
     def _judge(self, scope: Scope) -> tuple[Refusal | None, str | None]:
-        """(why not, the token that the address line had)."""
+        """(reason to reject the request or None, token in its URL or None)."""
         if scope["type"] == "http" and scope["method"] != "GET":
             return Refusal(405, "method", "only GET", (("allow", "GET"),)), None
         asked = HTTPConnection(scope)
@@ -100,7 +100,7 @@ class Guard:
 
 
 def cookie_name(scope: Scope) -> str:
-    """One by port: a browser sends cookies to all ports of a host."""
+    """Name of the cookie of this port: a browser sends a cookie to all ports of a host."""
     server = scope.get("server") or ("", 0)
     return f"traction_gateway_{server[1]}"
 

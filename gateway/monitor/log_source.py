@@ -1,4 +1,4 @@
-"""A log as a source: play, pause, seek. Seeking gives the same result as playing to that time."""
+"""A log as a source: play, pause, seek. A seek gives the same result as playing to that time."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from gateway.monitor.model.observer import Observer
 from gateway.monitor.model.snapshot import Snapshot
 
 PATIENCE_S: Final = 0.1
-"""Work of one `advance`."""
+"""Time in s that one `advance` may work."""
 PIECE_NS: Final[Nanos] = SECOND // 4
-"""Read in one go, so that patience is kept."""
+"""Time of the log that is read in one step, so that a call ends near its `patience_s`."""
 HOLE_NS: Final[Nanos] = 15 * SECOND
-"""Playing through a longer hole goes on behind it, after so long, when all has become unknown."""
+"""A longer gap is played for this time, until everything is unknown; then its rest is skipped."""
 STEP_NS: Final[Nanos] = 10 * MS
-"""Where the log's clock was set back: by a whole number of it, as in a replay at 100 Hz."""
+"""If the log's clock was set back, times shift by a multiple of this, as in a replay at 100 Hz."""
 CHECKPOINT_NS: Final[Nanos] = 5 * SECOND
 CHECKPOINTS: Final = 64
-"""More of them: every second one goes, and they are made half as often."""
+"""Most checkpoints; beyond, every second one is dropped and they are made half as often."""
 
 
 class Checkpoint(NamedTuple):
-    """The state at one time."""
+    """State of the observer and the reader at one time."""
 
     t_ns: Nanos
     frames: int
-    """Read from the log before, those that were left out as well."""
+    """Number of frames read from the log before, dropped ones included."""
     latest_ns: Nanos
     observer: Observer
 
 
 class LogSource:
-    """A log that replay can read. Time in it is counted from its first frame, as ticks have it."""
+    """A log that replay can read. Its time counts from its first frame, as that of the ticks."""
 
     def __init__(
         self, path: Path, make: Callable[[], Observer], channel: str | None = None
     ) -> None:
-        """Reads the log once, for its span. make: gives a fresh observer.
+        """Read the log once, for its span. make: returns a new observer.
 
-        Raises BadLogError, LogError or OSError for what cannot be read or has several channels.
+        Raises BadLogError, LogError or OSError if it cannot be read or has several channels.
         """
         self.title = printable(path.name)
         self.paused = False
@@ -88,7 +88,7 @@ class LogSource:
         return self._at_ns >= self._last_ns
 
     def advance(self, wall_dt_s: float) -> Snapshot:
-        """See Source. Who cannot keep up with the speed goes as fast as he can."""
+        """See Source. If it cannot keep up with the speed, it plays as fast as it can."""
         if not self.paused and not self.behind:
             following = self._following_ns()
             if self._at_ns - self._latest_ns > HOLE_NS and following - self._at_ns > HOLE_NS:
@@ -115,12 +115,12 @@ class LogSource:
         self._target_ns = min(max(t_ns, self._first_ns), self._last_ns)
 
     def _following_ns(self) -> Nanos:
-        """Stamp of the next frame, as far as it is known."""
+        """Stamp of the next frame if one is held, else the present time."""
         held = self._held.block
         return held.t_ns.item(0) if held.size else self._at_ns
 
     def _open(self) -> Iterator[Steady]:
-        """The log as replay reads it: a frame whose time is wrong is left out."""
+        """Read the log as replay does: a frame with a wrong time is dropped."""
         blocks = iter(OneChannel(open_log(self._path, strict=False).blocks, self._channel))
         first = next(blocks, EMPTY)
         if first.size:
@@ -144,7 +144,7 @@ class LogSource:
     def _work(self, patience_s: float | None) -> Snapshot:
         until = None if patience_s is None else time.monotonic() + patience_s
         while True:
-            # A night between two runs is one piece: the observer has little to do in silence.
+            # A night between two runs is one step: the observer has little to do without frames.
             to = min(self._target_ns, max(self._at_ns + PIECE_NS, self._following_ns()))
             self._read(to)
             self._at_ns = to
@@ -156,7 +156,7 @@ class LogSource:
         return self._observer.snapshot(self._at_ns)._replace(span_s=self.span_s)
 
     def _read(self, to_ns: Nanos) -> None:
-        """Give the observer everything up to a time."""
+        """Pass everything up to a time to the observer."""
         while True:
             if _is_empty(self._held) and (following := next(self._blocks, None)) is not None:
                 self._held = following
@@ -164,7 +164,7 @@ class LogSource:
                 break
             block, dropped = self._held
             now = int((block.t_ns <= to_ns).sum())
-            # Those that were left out and stand before the first that is later.
+            # Number of dropped frames before the first frame that is later.
             early = int((dropped <= now).sum()) if now < block.size else len(dropped)
             self._latest_ns = block.t_ns.item(now - 1) if now else self._latest_ns
             self._observer.note_dropped(early)
@@ -192,6 +192,6 @@ def _is_empty(held: Steady) -> bool:
 
 
 def _rest(held: Steady, frames: int, gone: int) -> Steady:
-    """Without the first so many frames, and the first so many of those that were left out."""
+    """The rest, without the first `frames` frames and the first `gone` dropped frames."""
     block = held.block.part(frames, held.block.size)
     return Steady(block, held.dropped[gone:] - frames)

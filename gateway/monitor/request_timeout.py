@@ -1,6 +1,6 @@
-"""A request must be complete some seconds after its first byte; uvicorn has no such limit.
+"""Time limit for a complete request, which uvicorn does not have.
 
-Without a limit 64 connections that each send half a request keep everybody else out.
+Without it, 64 connections that each send half a request block all other clients.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ REQUEST_S: Final = 5.0
 
 
 def timed_protocol(counts: Counter[str], request_s: float) -> type[asyncio.Protocol]:
-    """Uvicorn's protocol that closes such connections, and counts them as `half_sent`.
+    """Uvicorn's protocol, closing connections with an incomplete request, counted as `half_sent`.
 
-    request_s: from the connection, and from the first byte of each further request.
+    request_s: limit from the connection, and from the first byte of each further request.
     """
 
     class TimedProtocol(H11Protocol):

@@ -1,6 +1,6 @@
-"""Where a monitor's frames come from: a bus, read only, or a log, with its own time.
+"""Sources of a monitor's frames: a bus, which is only read, or a log, with its own time.
 
-May know: sockets, files, clocks. What the frames mean is the observer's.
+This module handles sockets, files and clocks; the observer interprets the frames.
 """
 
 from __future__ import annotations
@@ -23,49 +23,49 @@ LISTEN_ONLY: Final[Mapping[str, Mapping[str, Any]]] = {
     "slcan": {"listen_only": True},
     "vector": {"listen_only": True},
 }
-"""By python-can's interface: the option of its bus that keeps the controller from sending."""
+"""Bus option by python-can's interface that keeps the controller from sending."""
 READ_S: Final = 0.01
-"""Between two reads. The least that a kernel keeps for a socket is some hundred frames."""
+"""Time between two reads. A kernel buffers at least some hundred frames for a socket."""
 HANGS_NS: Final[Nanos] = 100 * MS
 MOST_WAITING: Final = 200_000
-"""Frames that wait to be looked at: ten seconds of a full bus."""
+"""Most frames that wait to be fetched: ten seconds of a full bus."""
 
 
 class Source(Protocol):
-    """Snapshots, and what a person may ask of time. One thread at a time."""
+    """Source of snapshots, with control of its time. Used by one thread at a time."""
 
     title: str
     """The bus or the log, for a heading."""
     paused: bool
     speed: float
-    """Of a log, times real time; of a bus always 1."""
+    """Speed of a log as a multiple of real time; for a bus always 1."""
 
     @property
     def span_s(self) -> tuple[float, float] | None:
-        """From where to where one can seek; None on a bus."""
+        """First and last time for `seek`; None on a bus."""
 
     @property
     def behind(self) -> bool:
-        """Whether a seek is still under way: `advance` goes on with it."""
+        """Whether a seek is not complete yet; `advance` continues it."""
 
     def advance(self, wall_dt_s: float) -> Snapshot:
-        """Let so much time pass, and look. Never takes much longer than a tenth of a second."""
+        """Let `wall_dt_s` pass and return a snapshot. Never takes much longer than 0.1 s."""
 
     def seek(self, t_s: float, patience_s: float | None = None) -> Snapshot:
-        """Go to a time of the log, clipped to its span; on a bus nothing happens.
+        """Go to a time of the log, clipped to its span; on a bus this has no effect.
 
-        patience_s: how long to work on it now; None until it is done.
+        patience_s: most time of work in this call; None: until the seek is complete.
         """
 
     def close(self) -> None:
-        """Give the bus or file back."""
+        """Release the bus or file."""
 
 
 class Reader:
-    """Reads a bus in a thread of its own, so that a slow picture loses no frames. It only reads."""
+    """Reads a bus in its own thread, so that slow drawing loses no frames. It never sends."""
 
     def __init__(self, transport: Transport, clock: Callable[[], Nanos]) -> None:
-        """transport: open, and from now on nobody else's."""
+        """transport: open; from now on only this object may use it."""
         self._transport = transport
         self._clock = clock
         self._lock = threading.Lock()
@@ -79,7 +79,7 @@ class Reader:
         self._thread.start()
 
     def _run(self) -> None:
-        # Waiting for the next frame would wake it thousands of times a second.
+        # Waiting for each frame would wake the thread thousands of times a second.
         while not self._stop.wait(READ_S):
             block = self._transport.receive_block(0.0)
             with self._lock:
@@ -93,12 +93,12 @@ class Reader:
                     self.unread += dropped
 
     def fetch(self) -> tuple[Block, Nanos]:
-        """Everything read so far, and until when that is everything."""
+        """All frames read and not fetched yet, and the time up to which they are complete."""
         with self._lock:
             blocks = list(self._waiting)
             self._waiting.clear()
             self._frames = 0
-            # Should reading hang, time goes on all the same: what was heard must grow old.
+            # If reading hangs, time must still advance, so that received values become stale.
             now = max(self._now, self._clock() - HANGS_NS)
         while len(blocks) > 1:
             pairs = zip_longest(blocks[::2], blocks[1::2], fillvalue=EMPTY)
@@ -113,7 +113,7 @@ class Reader:
 
 
 class LiveSource:
-    """A bus. Nothing is ever sent: the transport is made with an empty allow-list."""
+    """A bus as a source. It never sends: its transport is made with an empty allow-list."""
 
     def __init__(
         self,
@@ -122,7 +122,7 @@ class LiveSource:
         title: str,
         clock: Callable[[], Nanos] = time.monotonic_ns,
     ) -> None:
-        """transport: open. clock: the one of its stamps."""
+        """transport: open. clock: the clock of its stamps."""
         self.title = title
         self.paused = False
         self.speed = 1.0
@@ -133,16 +133,16 @@ class LiveSource:
 
     @property
     def span_s(self) -> None:
-        """One cannot seek on a bus."""
+        """None: a bus has no seek."""
         return
 
     @property
     def behind(self) -> bool:
-        """Never."""
+        """False: a bus has no seek."""
         return False
 
     def advance(self, wall_dt_s: float) -> Snapshot:  # noqa: ARG002 - the bus has its own time
-        """See Source. Also while paused everything is read; only the picture stands still."""
+        """See Source. While paused, frames are still read; only the snapshot stays the same."""
         block, now = self._reader.fetch()
         self._observer.add_frames(block, now)
         if self._shown is None or not self.paused:
@@ -163,15 +163,15 @@ class LiveSource:
         if status.state is not LinkState.UP:
             link = link._replace(state=status.state)
         elif link.state == "active":
-            # The transport also asks the kernel, which knows of what came before this monitor.
+            # The transport also asks the kernel, which has the state from before this monitor.
             link = link._replace(state=status.bus_state)
         return shown._replace(link=link)
 
 
 def silently(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Bus options with the interface's own listen-only switched on, where python-can knows one.
+    """Bus options with the listen-only mode of the interface, if python-can supports one.
 
-    Such a controller does not even acknowledge. Elsewhere the empty allow-list has to do.
+    Such a controller does not even acknowledge. Other interfaces rely on the empty allow-list.
     """
     switch = LISTEN_ONLY.get(str(options.get("interface")), {})
     given = {**switch, **(options.get("bus_kwargs") or {})}

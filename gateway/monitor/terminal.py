@@ -27,13 +27,13 @@ from gateway.monitor.sources import Source
 
 REFRESH_S: Final = 0.1
 LONGEST_S: Final = 0.5
-"""Time that may pass between two looks: a stopped terminal does not make a log jump."""
+"""Most time that a log advances between two polls, so that it does not jump after a stop."""
 SPEEDS: Final = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 SPANS_S: Final = (10.0, 30.0, 60.0)
 OTHERS: Final = 19
-"""Lines that all other panels need at least."""
+"""Least number of lines of all panels other than the table."""
 SECOND_DIGIT_S: Final = 0.8
-"""Within this a second digit makes a two-digit drive number."""
+"""Time within which a second digit makes a drive number of two digits."""
 HELP: Final = """\
  1..9, 1 2   drive by its number (two digits: quickly)
  up, down    drive before, after
@@ -54,7 +54,7 @@ HELP: Final = """\
 
 
 class Help(ModalScreen[None]):
-    """The keys, and what the signs mean. Any key closes it."""
+    """Help page: the keys, and the meaning of the signs. Any key closes it."""
 
     CSS = """
     Help { align: center middle; }
@@ -63,29 +63,29 @@ class Help(ModalScreen[None]):
     """
 
     def compose(self) -> ComposeResult:
-        """One page."""
+        """Yield the text of the page."""
         yield Static(Text(HELP))
 
     def on_key(self) -> None:
-        """Close."""
+        """Close the page."""
         self.dismiss()
 
 
 class Panel(Widget):
-    """Text that depends on the room there is; drawn again whenever that changes."""
+    """Text that depends on the size of the panel; drawn again whenever the size changes."""
 
     def __init__(self, draw: Callable[[int, int], Text], name: str) -> None:
-        """draw: from width and height in characters."""
+        """draw: makes the text for a width and height in characters."""
         super().__init__(id=name)
         self._draw_text = draw
 
     def render(self) -> Text:
-        """As of now, for this size."""
+        """The present text for the present size."""
         return self._draw_text(self.size.width, self.size.height)
 
 
 class MonitorApp(App[None]):
-    """A source on a terminal: looked at from this thread only, closed at the end."""
+    """A source on a terminal: polled by this thread only, and closed at the end."""
 
     TITLE = "traction-gateway monitor"
     ENABLE_COMMAND_PALETTE = False
@@ -136,7 +136,7 @@ class MonitorApp(App[None]):
         clock: Callable[[], float] = time.monotonic,
         **options: Any,
     ) -> None:
-        """refresh_s: None looks only when a key asks for it, for tests."""
+        """refresh_s: interval of polls; None polls only when a key needs it, for tests."""
         super().__init__(**options)
         self._source = source
         self._refresh_s = refresh_s
@@ -145,15 +145,15 @@ class MonitorApp(App[None]):
         self._shown: Snapshot | None = None
         self._selected = 0
         self._aim_s = 0.0
-        """Where the last seek went, which may still be under way."""
+        """Target time of the last seek, which may not be complete yet."""
         self._digits = ""
         self._digit_s = 0.0
         self._zoom = 0
         self.problem: Exception | None = None
-        """Why the view had to end, for whoever ran it."""
+        """The error that ended the view, for the caller."""
 
     def compose(self) -> ComposeResult:
-        """The panels; only the table can be longer than its place."""
+        """Yield the panels; only the table can be longer than its space."""
         yield Static(id="title")
         with Horizontal(id="tops"):
             yield Static(id="gateway")
@@ -174,7 +174,7 @@ class MonitorApp(App[None]):
         yield Static(id="keys")
 
     def on_mount(self) -> None:
-        """Start looking."""
+        """Start polling."""
         with suppress(ValueError, RuntimeError, NotImplementedError):  # not in the main thread
             asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self.exit)
         self._look(0.0)
@@ -183,19 +183,19 @@ class MonitorApp(App[None]):
             self.set_interval(self._refresh_s, self.tick)
 
     def on_resize(self) -> None:
-        """The table has more columns, and more rows, where there is room."""
+        """Adapt the table: it has more columns and rows on a larger screen."""
         rows = max(self.size.height - OTHERS, 3)
         self._base.query_one("#drives").styles.max_height = rows
         self._draw()
 
     def on_unmount(self) -> None:
-        """Give the source back."""
+        """Close the source."""
         with suppress(ValueError, RuntimeError, NotImplementedError):
             asyncio.get_running_loop().remove_signal_handler(signal.SIGTERM)
         self._source.close()
 
     def tick(self) -> None:
-        """One look at the source, by the time that has passed."""
+        """Poll the source once, by the time that has passed, and draw."""
         now = self._clock()
         passed, self._looked_s = now - self._looked_s, now
         self._look(min(max(passed, 0.0), LONGEST_S))
@@ -209,7 +209,7 @@ class MonitorApp(App[None]):
             self._selected = nodes[0]
 
     def _ask(self, question: Callable[[], Snapshot]) -> bool:
-        """Ask the source. A log that cannot be read any more ends the view, with its reason."""
+        """Get a snapshot of the source. A log that becomes unreadable ends the view: `problem`."""
         try:
             self._shown = question()
         except (BadLogError, LogError, OSError) as error:
@@ -221,22 +221,22 @@ class MonitorApp(App[None]):
     # ---- keys ----------------------------------------------------------------------------------
 
     def action_help(self) -> None:
-        """The page of keys."""
+        """Show the help page."""
         self.push_screen(Help())
 
     def action_pause(self) -> None:
-        """Stand still, or go on."""
+        """Pause, or continue."""
         self._source.paused = not self._source.paused
         self._draw()
 
     def action_seek(self, seconds: int) -> None:
-        """So much back or on; of a log only."""
+        """Go back or forward in a log; no effect on a bus."""
         if self._shown is not None and self._source.span_s is not None:
             at = self._aim_s if self._source.behind else self._shown.t_s
             self._go(at + seconds)
 
     def action_ends(self, which: int) -> None:
-        """To the start or the end of a log."""
+        """Go to the start or the end of a log."""
         if (span := self._source.span_s) is not None:
             self._go(span[which])
 
@@ -246,7 +246,7 @@ class MonitorApp(App[None]):
             self._draw()
 
     def action_speed(self, step: int) -> None:
-        """Slower or faster; of a log only."""
+        """Play a log slower or faster; no effect on a bus."""
         if self._source.span_s is None:
             return
         near = min(range(len(SPEEDS)), key=lambda k: abs(SPEEDS[k] - self._source.speed))
@@ -254,14 +254,14 @@ class MonitorApp(App[None]):
         self._draw()
 
     def action_step(self, step: int) -> None:
-        """The drive before or after."""
+        """Select the drive before or after."""
         if self._shown is not None:
             nodes = [row.node for row in self._shown.drives]
             at = nodes.index(self._selected) + step
             self._select(nodes[min(max(at, 0), len(nodes) - 1)])
 
     def action_digit(self, digit: int) -> None:
-        """A drive by its number: a second digit soon after the first belongs to it."""
+        """Select a drive by its number; a second digit soon after the first belongs to it."""
         if self._shown is None:
             return
         now = self._clock()
@@ -279,12 +279,12 @@ class MonitorApp(App[None]):
         self._draw()
 
     def action_zoom(self) -> None:
-        """Plots of another span."""
+        """Change the time span of the plots."""
         self._zoom = (self._zoom + 1) % len(SPANS_S)
         self._draw()
 
     def action_more(self) -> None:
-        """More room for events, or as before."""
+        """Toggle the size of the panel of events."""
         self._base.toggle_class("more")
         self._draw()
 
@@ -312,7 +312,7 @@ class MonitorApp(App[None]):
 
     @property
     def _base(self) -> Screen[Any]:
-        """The screen with the panels, whatever lies over it."""
+        """The screen with the panels, even if another one covers it."""
         return self.screen_stack[0]
 
     def _put(self, name: str, text: Text) -> None:
@@ -352,7 +352,7 @@ class MonitorApp(App[None]):
         return panels.events(self._shown.events, height) if self._shown else Text()
 
     def _plots(self, shown: Snapshot) -> None:
-        """Load with its band, loss probability, and the strip of flags, of the selected drive."""
+        """Draw load with band, loss probability and strip of flags of the selected drive."""
         trace = next((t for t in shown.history if t.node == self._selected), Trace(self._selected))
         seconds = SPANS_S[self._zoom]
         span = (shown.t_s - seconds, shown.t_s)

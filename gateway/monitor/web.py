@@ -1,7 +1,7 @@
-"""The page's server: a page, its files, one websocket of pictures, metrics. A process of its own.
+"""The web server: a page, its files, a websocket of pictures, metrics. A process of its own.
 
-It reads what any other node reads and has no way to send: `Feed.ask` is all that a viewer can do,
-and it knows seek, pause and speed of a log. Nothing here runs in the gateway's process.
+It reads the bus as any other node, and has no means to send. A viewer can only call `Feed.ask`, for
+seek, pause and speed of a log. Nothing here runs in the process of the gateway.
 """
 
 from __future__ import annotations
@@ -41,29 +41,29 @@ STATIC: Final = Path(__file__).parent / "static"
 VIEWERS: Final = 8
 CONNECTIONS: Final = 64
 READ_S: Final = 5.0
-"""Who has not read a picture after so long is dropped."""
+"""A viewer who has not read a picture after this time is dropped."""
 STUCK_MS: Final = 10_000
-"""The kernel gives up a connection whose other end takes nothing for so long."""
+"""The kernel closes a connection whose other end accepts no data for this time."""
 SEND_BYTES: Final = 65_536
-"""Of the kernel for a connection: what a viewer has not read is bounded."""
+"""Send buffer of a connection in the kernel, which limits the data that a viewer has not read."""
 REQUEST_BYTES: Final = 256
 REQUESTS_S: Final = 50
-"""A viewer may ask this often in a second; a slider that is dragged asks ten times."""
+"""Most requests of a viewer in a second; dragging a slider makes ten."""
 TOO_MANY, TOO_FAST, NOT_UNDERSTOOD, TOO_SLOW = 4013, 4008, 4007, 4009
-"""Codes with which a websocket is closed; the page has words for them."""
+"""Close codes of the websocket; the page has a text for each."""
 
 
 class Viewers:
-    """The websocket: to each viewer its next picture when it has taken the last."""
+    """The websocket: each viewer gets its next picture when it has read the last."""
 
     def __init__(self, feed: Feed, *, most: int = VIEWERS, read_s: float = READ_S) -> None:
-        """most: viewers at a time. read_s: patience with one that does not read."""
+        """most: viewers at a time. read_s: time after which one that does not read is dropped."""
         self._feed = feed
         self._most = most
         self._read_s = read_s
 
     async def serve(self, socket: WebSocket) -> None:
-        """One viewer, from first to last."""
+        """Serve one viewer until it leaves or is dropped."""
         feed = self._feed
         await socket.accept()
         if feed.viewers >= self._most:
@@ -93,13 +93,13 @@ class Viewers:
             text = picture.message(had)
             try:
                 with anyio.fail_after(self._read_s):
-                    # Waits where the connection's buffers are full.
+                    # This waits while the buffers of the connection are full.
                     await socket.send_text(text)
             except TimeoutError:
                 self._feed.counts["slow"] += 1
                 log.warning("a viewer that did not read for %g s was dropped", self._read_s)
                 return TOO_SLOW
-            except (WebSocketDisconnect, RuntimeError):  # has left meanwhile
+            except (WebSocketDisconnect, RuntimeError):  # the viewer has left
                 return 0
             had = picture
 
@@ -123,7 +123,7 @@ class Viewers:
                 return NOT_UNDERSTOOD
 
     async def _close(self, socket: WebSocket, code: int) -> None:
-        # To one that does not read the word of farewell cannot be said either.
+        # A viewer that does not read does not receive the close frame either.
         with suppress(WebSocketDisconnect, RuntimeError), anyio.move_on_after(0.2):
             await socket.close(code)
 
@@ -136,7 +136,7 @@ def _parsed(text: str) -> object:
 
 
 class Files(StaticFiles):
-    """The page's files; a browser asks each time whether there are newer ones."""
+    """The page's files; a browser checks each time whether they have changed."""
 
     def file_response(self, *given: Any, **named: Any) -> Response:
         """See starlette."""
@@ -154,10 +154,10 @@ def make_app(
     ended: Callable[[BaseException], None] | None = None,
     **limits: Any,
 ) -> ASGIApp:
-    """The application. page: False has the metrics alone, as have the ports of metrics_only.
+    """The application. page: False serves only metrics, as do the ports of metrics_only.
 
-    The feed plays as long as it lives; what stops it is given to `ended`. limits: of `Viewers`.
-    Metrics are there where prometheus-client is.
+    The feed runs as long as the application; an error that stops the feed is passed to `ended`.
+    limits: those of `Viewers`. There are metrics only if prometheus-client is installed.
     """
     registry = _registry(feed)
     viewers = Viewers(feed, **limits)
@@ -222,7 +222,7 @@ def _registry(feed: Feed) -> CollectorRegistry | None:
 
 
 def bind(where: Listen) -> socket.socket:
-    """A listening socket whose connections have little room. Raises ConfigError if taken."""
+    """A listening socket with small send buffers. Raises ConfigError if the address is taken."""
     try:
         kind, address = _resolved(where)
         made = socket.socket(kind, socket.SOCK_STREAM)
@@ -230,13 +230,13 @@ def bind(where: Listen) -> socket.socket:
         raise ConfigError(str(where), [f"cannot be listened at: {error.strerror}"]) from None
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        # What is accepted inherits these.
+        # Accepted connections inherit these options.
         made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
         made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, STUCK_MS)
         made.bind(address)
-        # Whoever reads the address may ask at once: it waits until there is a server.
+        # A client may connect at once: its request waits until the server runs.
         made.listen(CONNECTIONS)
     except OSError as error:
         made.close()
@@ -251,7 +251,7 @@ def _resolved(where: Listen) -> tuple[int, Any]:
 
 
 def is_loopback(where: Listen) -> bool:
-    """Whether nobody outside this machine can reach it. Raises ConfigError for unknown names."""
+    """Whether only this machine can reach the address. Raises ConfigError for unknown names."""
     import ipaddress
 
     try:
@@ -262,11 +262,11 @@ def is_loopback(where: Listen) -> bool:
 
 
 def make_server(app: ASGIApp, counts: Counter[str], request_s: float = REQUEST_S) -> uvicorn.Server:
-    """Uvicorn with this server's limits; it is run with sockets of `bind`.
+    """Uvicorn with the limits of this module, to be run with sockets of `bind`.
 
-    counts: gets `half_sent`, connections without a whole request after request_s.
+    counts: receives `half_sent`, connections without a complete request after request_s.
     """
-    # It logs requests with what is in the address line, tokens too.
+    # Uvicorn would log requests with their URLs, tokens included.
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     return uvicorn.Server(
         uvicorn.Config(
@@ -287,7 +287,7 @@ def serve(
     page: bool = True,
     metrics_only: Sequence[int] = (),
 ) -> None:
-    """Serve until SIGINT or SIGTERM. Raises what stopped the feed."""
+    """Serve until SIGINT or SIGTERM. Raises the error that stopped the feed."""
     errors: list[BaseException] = []
 
     def ended(error: BaseException) -> None:

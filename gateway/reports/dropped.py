@@ -1,4 +1,4 @@
-"""How much of the input was left out, and whether that is too much for a good result."""
+"""Share of the input that was dropped, and whether it is too large for a good result."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Final
 
 MOST: Final = 0.01
-"""Share of the input that may be dropped."""
+"""Largest share of the input that may be dropped without a warning."""
 
 
 def warning(dropped: Mapping[str, int], used: int) -> str:
-    """One line that says how much was dropped and why; empty up to `MOST` of the input.
+    """One line with the share that was dropped and the causes; empty up to `MOST` of the input.
 
-    dropped: cause -> lines or frames; used: those that were not.
+    dropped: number of lines or frames by cause; used: number of those that were not dropped.
     """
     causes = {cause: count for cause, count in dropped.items() if count}
     total = sum(causes.values())

@@ -1,4 +1,4 @@
-"""Expectations of a scenario, judged on the flag frames as they stood on the wire."""
+"""Check the expectations of a scenario against the flag frames on the wire."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SET_FLAGS = {"common_mode": "CommonMode", "comm": "CommFault", "sensor": "Senso
 
 
 class Expectation(Protocol):
-    """The part of `sim.scenario.Expect` that is judged here."""
+    """The part of `sim.scenario.Expect` that is checked here."""
 
     @property
     def flag(self) -> str:
@@ -40,20 +40,20 @@ class Expectation(Protocol):
 
     @property
     def within_ms(self) -> float | None:
-        """The state must be seen within this time."""
+        """The state must occur within this time after `after_s`; None: at any time."""
         ...
 
     @property
     def never(self) -> bool:
-        """The state must not be seen from `after_s` on."""
+        """The state must not occur from `after_s` on."""
         ...
 
 
 class Verdict(NamedTuple):
-    """One expectation, judged for one drive (0: the set).
+    """Result of one expectation for one drive (0: the train).
 
-    delay_ms: when the state was first seen, from `after_s`; limit_ms: by when it had to be; None
-    where it was not seen, or no time was set.
+    delay_ms: time from `after_s` to the first occurrence of the state, None if it did not occur;
+    limit_ms: largest delay that passes, None if there is no limit.
     """
 
     text: str
@@ -67,9 +67,9 @@ _USABLE = (Check.OK, Check.OK_SOME_LOST)
 
 
 class FlagTrack:
-    """Every flag frame decoded: (t_ns, flag) per name and drive.
+    """Decoded flag frames: (t_ns, flag) by name and drive.
 
-    A frame whose checksum or counter is wrong says nothing: its flags are unknown.
+    If the checksum or counter of a frame is wrong, its flags are unknown.
     """
 
     def __init__(self, codec: Codec, nodes: Sequence[int]) -> None:
@@ -79,7 +79,7 @@ class FlagTrack:
         self._receivers: dict[int, Receiver] = {}
 
     def add(self, frames: Iterable[Frame]) -> None:
-        """Note the flags in the gateway's frames; other frames are passed over."""
+        """Store the flags in the gateway's frames; other frames are ignored."""
         for frame in frames:
             spec = self.codec.by_id.get(frame.can_id)
             if spec is None or spec.name not in ("Gateway_Adhesion", "Gateway_Faults"):
@@ -102,7 +102,7 @@ class FlagTrack:
 def judge(
     expectations: Iterable[Expectation], track: FlagTrack, touched: set[int], start_ns: int
 ) -> list[Verdict]:
-    """Judge every expectation; `touched` are the drives that events name."""
+    """Check every expectation, for each of its drives; `touched`: drives that events name."""
     verdicts = []
     for expect in expectations:
         if expect.flag in _SET_FLAGS:

@@ -12,7 +12,7 @@ from gateway.reports.words import REASONS
 
 
 class Advice(NamedTuple):
-    """remedy: what to look at, or do; example: what has brought it about."""
+    """Meaning of a code; remedy: what to check or do; example: a possible cause."""
 
     meaning: str
     remedy: str
@@ -20,7 +20,7 @@ class Advice(NamedTuple):
 
 
 class Explained(NamedTuple):
-    """One code. kind: the signal that it stands in."""
+    """One code. kind: name of its signal."""
 
     kind: str
     code: IntEnum
@@ -28,7 +28,7 @@ class Explained(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As the DBC's value table has it."""
+        """Name of the code in the DBC's value table."""
         return camel(self.code.name)
 
 
@@ -178,17 +178,17 @@ ALL: Final = tuple(
     for kind, codes in _KINDS
     for code, advice in codes.items()
 )
-"""In the order of kinds and numbers."""
+"""All codes, by kind, then by number."""
 
 
 def named(word: str) -> list[Explained]:
-    """Codes with this number or name, in whatever case."""
+    """Codes with this number or name; upper and lower case are equal."""
     wanted = word.replace("_", "").casefold()
     return [one for one in ALL if wanted in (str(int(one.code)), one.name.casefold())]
 
 
 def text(found: Iterable[Explained]) -> str:
-    """For a terminal."""
+    """The explanations as text for a terminal."""
     return "\n\n".join(
         f"{one.kind} {int(one.code)} {one.name}: {one.advice.meaning}\n"
         f"  do       {one.advice.remedy}\n"
@@ -198,7 +198,7 @@ def text(found: Iterable[Explained]) -> str:
 
 
 def tables() -> str:
-    """For a page: a table of each kind."""
+    """The explanations in Markdown for a page, a table for each kind."""
     lines: list[str] = []
     for kind, _ in _KINDS:
         lines += [f"## {kind}", "", "| code | name | meaning | what to do | example |",

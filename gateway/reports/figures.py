@@ -1,7 +1,7 @@
-"""Pictures of a run: values over time, flags as strips below, one axis of time.
+"""Pictures of a run: values over time, flags as strips below, on one time axis.
 
-Colours are Okabe and Ito's, which colour-blind people can tell apart; what a colour says is said by
-line style, height or hatch as well. The same run gives the same bytes.
+The colours are those of Okabe and Ito, which colour-blind people can distinguish; line style,
+height or hatch always shows the same as a colour. The same run gives the same bytes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ WIDTH_IN: Final = 9.0
 _LEFT_IN, _RIGHT_IN, _GAP_IN, _NAMES_IN = 0.95, 0.15, 0.14, 0.18
 LEFT: Final = _LEFT_IN / WIDTH_IN
 RIGHT: Final = 1.0 - _RIGHT_IN / WIDTH_IN
-"""Ends of the axis of time, as shares of a picture's width."""
+"""Ends of the time axis, as shares of the width of a picture."""
 _STYLE: Final[dict[str, Any]] = {
     "svg.hashsalt": "traction-gateway",
     # Text stays text: it can be searched and copied, and the file is a third of the size.
@@ -68,7 +68,7 @@ _DIGITS: Final = re.compile(r"(?<=\.\d\d)\d+")
 
 
 class Span(NamedTuple):
-    """A stretch of truth to shade: seconds, drive, name."""
+    """An interval of truth to draw: start and end in seconds, drive, name."""
 
     start_s: float
     end_s: float
@@ -77,7 +77,7 @@ class Span(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One pair of axes of a figure: height in inches, label, whether names stand above it."""
+    """One pair of axes of a figure: height in inches, label, whether a legend is above it."""
 
     height: float
     label: str
@@ -85,7 +85,7 @@ class Panel(NamedTuple):
 
 
 def save(figure: Figure, path: Path) -> None:
-    """PNG or, by its suffix, SVG: without dates, references and digits that nobody sees."""
+    """Write PNG or, by the suffix, SVG, without dates, references and digits that are invisible."""
     if path.suffix != ".svg":
         with whole(path) as part:
             figure.savefig(part, dpi=110, metadata={"Software": None})
@@ -93,14 +93,14 @@ def save(figure: Figure, path: Path) -> None:
     drawn = io.StringIO()
     figure.savefig(drawn, format="svg", metadata={"Date": None})
     text = _METADATA.sub("", _DOCTYPE.sub("", drawn.getvalue()))
-    # A hundredth of a point is finer than any printer.
+    # Two decimals are enough: a hundredth of a point is finer than any printer.
     text = _PATH.sub(lambda found: _DIGITS.sub("", found[0]), text)
     write_text(path, text)
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """What figures of this module are drawn and saved in, whatever a user's own settings are."""
+    """Context to draw and save the figures of this module, without the user's own settings."""
     import matplotlib as mpl
 
     with mpl.rc_context():
@@ -110,11 +110,11 @@ def styled() -> Iterator[None]:
 
 
 def panels(wanted: Sequence[Panel], top_in: float = 0.12, foot_in: float = 0.75) -> Any:
-    """A figure with these panels below one another, on one axis of time; (figure, axes)."""
+    """A figure with these panels below one another, on one time axis: (figure, axes)."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    # Sizes in inches, not a layout engine: that draws everything twice.
+    # Sizes are given in inches, because a layout engine draws everything twice.
     gaps = _GAP_IN * (len(wanted) - 1) + _NAMES_IN * sum(p.names for p in wanted)
     high = top_in + foot_in + sum(p.height for p in wanted) + gaps
     figure = Figure(figsize=(WIDTH_IN, high))
@@ -128,7 +128,7 @@ def panels(wanted: Sequence[Panel], top_in: float = 0.12, foot_in: float = 0.75)
         )  # fmt: skip
         axis = figure.add_axes(box, sharex=axes[0] if axes else None)
         axis.set_ylabel(panel.label)
-        # Labels stand in one column, whatever the numbers beside them.
+        # All labels are in one column, whatever the width of the numbers beside them.
         axis.yaxis.set_label_coords(-0.5 / (WIDTH_IN - _LEFT_IN - _RIGHT_IN), 0.5)
         axis.tick_params(labelbottom=panel is wanted[-1], length=2.5)
         axes.append(axis)
@@ -139,9 +139,9 @@ def panels(wanted: Sequence[Panel], top_in: float = 0.12, foot_in: float = 0.75)
 
 def line(axis: Axes, curve: Curve, *, color: str, label: str, bridge: bool = False,
          **style: Any) -> None:  # fmt: skip
-    """A curve; where ticks were put together, everything between its smallest and largest.
+    """Draw a curve; if ticks were merged, also the band from their smallest to largest value.
 
-    bridge: over what is not known, for values that come less often than ticks.
+    bridge: connect across unknown values, for values that come less often than ticks.
     """
     if bridge:
         known = np.isfinite(curve.low)
@@ -156,12 +156,12 @@ def line(axis: Axes, curve: Curve, *, color: str, label: str, bridge: bool = Fal
 
 
 def true_line(axis: Axes, curve: Curve) -> None:
-    """What was really so: on top of what was thought."""
+    """Draw a true value, on top of its estimate."""
     line(axis, curve, color="black", label="true", lw=0.9, ls=(0, (4, 2)))
 
 
 def broken(t_s: Any, *values: Any) -> list[Any]:
-    """The same with a NaN in every hole of time, so that no line crosses it."""
+    """The same arrays with a NaN in every gap of time, so that no line crosses it."""
     if len(t_s) < 3:
         return [t_s, *values]
     steps = np.diff(t_s)
@@ -170,7 +170,7 @@ def broken(t_s: Any, *values: Any) -> list[Any]:
 
 
 def strip(axis: Axes, row: int, curve: Curve, end_s: float) -> None:
-    """One flag as a bar: `curve` holds the ranks of `trace.RANK`; of several flags the worst."""
+    """Draw one flag as bars; `curve` holds ranks of `trace.RANK`, of merged ticks the worst."""
     rank = curve.high
     if not len(rank):
         return
@@ -185,7 +185,7 @@ def strip(axis: Axes, row: int, curve: Curve, end_s: float) -> None:
 
 
 def strips(axis: Axes, names: Sequence[str]) -> None:
-    """Make an axis one of strips, a row for each name from above."""
+    """Prepare an axis for strips, with a row for each name from the top."""
     axis.set_yticks(range(len(names)), list(names))
     axis.set_ylim(len(names) - 0.45, -0.55)
     axis.grid(visible=False, axis="y")
@@ -194,14 +194,14 @@ def strips(axis: Axes, names: Sequence[str]) -> None:
 
 
 def truth_bars(axis: Axes, row: int, spans: Iterable[Span]) -> None:
-    """What was really so, in a row of strips: black outlines."""
+    """Draw the true intervals in a row of strips, with black outlines."""
     bars = [(s.start_s, max(s.end_s - s.start_s, 1e-9)) for s in spans]
     if bars:
         axis.broken_barh(bars, (row - 0.3, 0.6), facecolor="#bbbbbb", edgecolor="black", lw=0.5)
 
 
 def key(good: str = "good", bad: str = "bad", *, truth: bool = False) -> list[Any]:
-    """Handles for a legend of strips."""
+    """Legend handles for strips."""
     from matplotlib.patches import Patch
 
     handles = [Patch(label=word, **_BARS[flag])
@@ -213,20 +213,20 @@ def key(good: str = "good", bad: str = "bad", *, truth: bool = False) -> list[An
 
 
 def legend(axis: Axes, columns: int = 4) -> None:
-    """Names above the panel, in one line, where they hide nothing."""
+    """Put the legend above the panel, in one line, so that it hides nothing."""
     if axis.get_legend_handles_labels()[0]:
         axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.1,
                     handlelength=1.8, columnspacing=1.2)  # fmt: skip
 
 
 def foot(figure: Figure, handles: list[Any]) -> None:
-    """A legend of strips below everything."""
+    """Put the legend of the strips at the bottom of the figure."""
     figure.legend(handles=handles, loc="lower left", ncols=len(handles), handlelength=1.8,
                   bbox_to_anchor=(LEFT - 0.012, 0.0), columnspacing=1.4)  # fmt: skip
 
 
 def at_least(axis: Axes, span: float) -> None:
-    """Widen the vertical axis to this, if what is drawn needs less."""
+    """Widen the vertical axis to `span`, if the curves need less."""
     low, high = axis.get_ylim()
     if high - low < span:
         middle = 0.5 * (low + high)
@@ -234,13 +234,13 @@ def at_least(axis: Axes, span: float) -> None:
 
 
 def nothing(axis: Axes, text: str) -> None:
-    """Say in an empty panel that nothing is known."""
+    """Write a text into a panel without values."""
     axis.text(0.5, 0.5, text, ha="center", va="center", transform=axis.transAxes, color="#666666")
     axis.set_yticks([])
 
 
 def load_panel(axis: Axes, trace: Trace, node: int, truth: Truth | None) -> None:
-    """Load torque: true where known, estimated, with its band."""
+    """Draw the load torque: the estimate with its band, and the true value if it is known."""
     from matplotlib.patches import Patch
 
     estimate = trace.curve(node, "load_nm")
@@ -270,7 +270,7 @@ def loads(
     truth: Truth | None = None,
     spans: Sequence[Span] = (),
 ) -> None:
-    """Load and its band of every drive, truth where known, and the adhesion flags as strips."""
+    """Write a figure: load and band of every drive, truth if known, adhesion flags as strips."""
     nodes, end_s = trace.nodes, trace.span_s
     wanted = [Panel(1.15, f"drive {node}\nload / Nm", node == nodes[0]) for node in nodes]
     wanted.append(Panel(0.3 + 0.24 * len(nodes), ""))
@@ -290,11 +290,11 @@ def loads(
         if spans:
             from matplotlib.patches import Patch
 
-            # Or a flag that clears within one looks wrong.
+            # Without this text, a flag that clears within a shaded span looks wrong.
             shade = "rail below demand (a drive that cut its torque adheres)"
             handles.append(Patch(color=ORANGE, alpha=0.15, lw=0, label=shade))
         foot(figure, handles)
-        # A name is no formula, and no control character is XML.
+        # A title is not a formula, and XML has no control characters.
         figure.text(
             LEFT, 1 - 0.12 / figure.get_figheight(), printable(title),
             va="top", fontweight="bold", parse_math=False,

@@ -1,4 +1,4 @@
-"""Intervals of each flag's value, with the reason: the rows of a report's table."""
+"""Intervals of constant state of each flag, with the reasons: the rows of a report's table."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ KEPT: Final = 5000
 COMMON: Final = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NotDetected", Flag.BAD: "AllDrives"}
 BAD: Final = frozenset({"AdhesionLost", "Fault", "AllDrives"})
 OF_DRIVE: Final = ("adhesion", "thermal")
-"""Those in `flags.csv`."""
+"""Flags in `flags.csv`."""
 _WORDS: Final = ("adhesion_reason", "thermal_reason", "fault_class", "fault_sensor")
 _TRAIN: Final = ("common_mode", "overrun")
 OTHERS: Final = ("sensor", "comm", "estimator", "common mode", "overrun")
 
 
 class Interval(NamedTuple):
-    """One flag (node 0: the train's) that said `state` from start until end.
+    """Interval from start to end in which a flag (node 0: of the train) was `state`.
 
-    causes: in the order in which they were first said. The last interval ends with the last tick.
+    causes: in the order of their first occurrence. The last interval ends with the last tick.
     """
 
     node: int
@@ -43,12 +43,12 @@ class Interval(NamedTuple):
 
     @property
     def bad(self) -> bool:
-        """Whether this is what the gateway is there to tell."""
+        """Whether the state is one that the gateway exists to report."""
         return self.state in BAD
 
 
 class _Running:
-    """The interval that a flag is in."""
+    """The interval of a flag that has not ended yet."""
 
     __slots__ = ("causes", "start_ns", "state")
 
@@ -59,23 +59,23 @@ class _Running:
 
 
 class Intervals:
-    """Collects them tick by tick; `close` ends the last ones."""
+    """Collects the intervals tick by tick; `close` ends the last ones."""
 
     def __init__(self, nodes: Sequence[int]) -> None:
-        """nodes: in the order of the ticks' drives."""
+        """nodes: in the order of the drives in the ticks."""
         self.nodes = nodes
         self.kept: list[Interval] = []
         self.count: Counter[tuple[int, str, str]] = Counter()
-        """How many there were, by node, flag and state."""
+        """Number of intervals by node, flag and state."""
         self.seconds: defaultdict[tuple[int, str, str], float] = defaultdict(float)
         self._kinds: Counter[tuple[str, str]] = Counter()
         self._running: dict[tuple[int, str], _Running] = {}
         self._before: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-        """What the drives, and all together, said a tick ago: mostly the same."""
+        """Flags of the drives and of the train one tick ago; mostly they have not changed."""
         self._last_ns = 0
 
     def add(self, ticks: Ticks) -> None:
-        """Take ticks."""
+        """Process ticks."""
         self._last_ns = ticks.t_ns.item(-1)
         drives, train = ticks.drives, ticks.train
         own = np.concatenate(
@@ -130,22 +130,22 @@ class Intervals:
             self.kept.append(Interval(*key, running.start_ns, now, causes))
 
     def close(self) -> None:
-        """The run is over: what still holds ends with the last tick. In order of begin, drive."""
+        """End the open intervals with the last tick, and sort all by start, drive and flag."""
         for (node, flag), running in self._running.items():
             self._end(node, flag, running, self._last_ns)
         self._running.clear()
         self.kept.sort(key=lambda i: (i.start_ns, i.node, i.flag))
 
     def of_drives(self) -> Iterator[Interval]:
-        """Of the flags in `flags.csv`."""
+        """Intervals of the flags in `flags.csv`."""
         return (i for i in self.kept if i.flag in OF_DRIVE)
 
     def other_bad(self) -> Iterator[Interval]:
-        """When anything else was bad."""
+        """Intervals in which any other flag was bad."""
         return (i for i in self.kept if i.flag in OTHERS and i.bad)
 
     def left_out(self) -> dict[tuple[str, str], int]:
-        """By flag and state, how many were counted but not kept, if any."""
+        """Number of intervals counted but not kept, by flag and state, if there are any."""
         return {kind: n - KEPT for kind, n in sorted(self._kinds.items()) if n > KEPT}
 
 
@@ -155,7 +155,7 @@ def _because(running: _Running, reason: Reason) -> None:
 
 
 def _ill(running: _Running, drive: DriveView) -> None:
-    """Why a thermal flag is unknown; class and sensor of a fault."""
+    """Add the reason why a thermal flag is unknown, or class and sensor of its fault."""
     if drive.thermal is not Flag.BAD:
         _because(running, drive.thermal_reason)
     elif drive.fault_class not in (FaultClass.UNKNOWN, FaultClass.NONE):
@@ -163,7 +163,7 @@ def _ill(running: _Running, drive: DriveView) -> None:
 
 
 def _fault(drive: DriveView) -> str:
-    """Class and, if there is one, sensor."""
+    """Class of a fault and, if there is one, its sensor."""
     name = camel(FaultClass(drive.fault_class).name)
     if drive.fault_sensor is not FaultSensor.NONE:
         name += f" ({camel(FaultSensor(drive.fault_sensor).name)})"

@@ -1,4 +1,4 @@
-"""For what share of the time each flag was known: always `Unknown` is not good news."""
+"""Share of the time in which each flag was known: a flag that is always `Unknown` is no success."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CURES: Final = {
     "adhesion": ("wrong channel, DBC or motor? `traction-gateway check --log`", "warning"),
     "thermal": ("limits come from `traction-gateway calibrate`", "note"),
 }
-"""Of a flag that was never known: what to do, and how loud it is told."""
+"""For a flag that was never known: what to do, and the level of the message."""
 UNKNOWN: Final = "Unknown"
 Shares = Mapping[str, Mapping[int, float]]
 """Percent of the time, by flag and node."""
@@ -22,7 +22,7 @@ Shares = Mapping[str, Mapping[int, float]]
 def shares(
     changes: Iterable[tuple[int, int, str, str]], nodes: Iterable[int], first_ns: int, last_ns: int
 ) -> Shares:
-    """From rows of (when, node, flag, what it says from then on), in the order of their times."""
+    """Shares from rows of (time in ns, node, flag, new state), in the order of time."""
     known_ns = {flag: dict.fromkeys(nodes, 0) for flag in FLAGS}
     since: dict[tuple[str, int], int] = {}
     for t_ns, node, flag, word in changes:
@@ -42,7 +42,7 @@ def shares(
 def of_frames(
     seen: Mapping[tuple[str, int], Sequence[tuple[int, Flag]]], nodes: Iterable[int], since_ns: int
 ) -> Shares:
-    """From flags as they stood on the wire, of the frames from `since_ns` on; without any 0."""
+    """Shares of the flag frames on the wire from `since_ns` on; 0 if there are none."""
     nodes = tuple(nodes)
     return {flag: {node: _share(seen.get((flag, node), ()), since_ns) for node in nodes}
             for flag in FLAGS}  # fmt: skip
@@ -54,7 +54,7 @@ def _share(seen: Sequence[tuple[int, Flag]], since_ns: int) -> float:
 
 
 def text(known: Shares) -> str:
-    """One line: each flag's share, by drive where they differ."""
+    """One line with the share of each flag, by drive if the drives differ."""
     return "; ".join(f"{flag} {_of(known[flag])}" for flag in FLAGS) + " of the time"
 
 
@@ -66,20 +66,20 @@ def _of(each: Mapping[int, float]) -> str:
 
 
 def silent(known: Shares) -> dict[str, list[int]]:
-    """By flag the drives of which it was never known, where there are any."""
+    """Drives whose flag was never known, by flag; only flags with such drives."""
     never = {flag: [node for node, share in known[flag].items() if not share] for flag in FLAGS}
     return {flag: nodes for flag, nodes in never.items() if nodes}
 
 
 def drives(nodes: Sequence[int], of: int) -> str:
-    """` of drive 3`, ` of drives 3, 4`; nothing where these are all, `of` in number."""
+    """` of drive 3`, ` of drives 3, 4`; empty if these are all `of` drives."""
     if len(nodes) == of:
         return ""
     return f" of drive{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
 
 
 def short_of(known: Shares, wanted: Mapping[str, float]) -> list[str]:
-    """A line for each drive's flag that knew for less than is wanted, percent by flag."""
+    """A line for each flag of a drive known for less than `wanted`, in percent by flag."""
     return [
         f"{flag} of drive {node} was known for {share:.1f} % of the time, expected {least_:g} %"
         for flag, least_ in wanted.items()
@@ -89,7 +89,7 @@ def short_of(known: Shares, wanted: Mapping[str, float]) -> list[str]:
 
 
 def wanted(word: str) -> tuple[str, float]:
-    """`90` or `thermal=90`, for argparse and pytest: which flag, and the least percent."""
+    """Flag and least percentage from `90` or `thermal=90`, for argparse and pytest."""
     flag, _, number = word.rpartition("=")
     try:
         percent = float(number)

@@ -1,4 +1,4 @@
-"""The live table of `demo` and `run`: one row per drive, the set's state below."""
+"""The live table of `demo` and `run`: one row per drive, the state of the gateway below."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _number(value: float | None, digits: int, unit: str) -> str:
 
 
 def render(view: GatewayView, title: str) -> Group:
-    """Everything a person wants at a glance. Flags carry words, not colour alone."""
+    """Table with the main values of all drives. Flags are shown as words, not as colour alone."""
     table = Table(title=title, title_justify="left", expand=False)
     for head in ("drive", "adhesion", "P(lost)", "load", "speed", "health", "thermal", "mixed"):
         table.add_column(head, justify="left" if head in ("adhesion", "health") else "right")

@@ -1,7 +1,8 @@
 """A report as Markdown, and the same as one HTML file with its pictures inside.
 
-The HTML needs nothing from outside; it is readable on a phone and on paper. Its script zooms into
-pictures over time and leads from an event in a table to its second; without it all else is there.
+The HTML file is self-contained, and readable on a phone and on paper. Its script zooms into
+pictures over time and links an event in a table to its time in a picture; without the script the
+rest still works.
 """
 
 from __future__ import annotations
@@ -19,26 +20,26 @@ from gateway.io.whole_file import write_text
 
 _SPECIAL: Final = re.compile(r"([!-/:-@\[-`{-~])")
 _HARMLESS: Final = frozenset(",.:;/'%=?@-+()\"&")
-"""Punctuation that says nothing to Markdown in the middle of a line."""
+"""Punctuation without a meaning in Markdown in the middle of a line."""
 
 
 def plain(text: str) -> str:
-    """Somebody else's words as they are: no markup, no HTML, one line."""
+    """Foreign text as Markdown that shows it literally, in one line without markup or HTML."""
     escaped = _SPECIAL.sub(
         lambda m: m[1] if m[1] in _HARMLESS else f"\\{m[1]}", printable(text).replace("&", "&amp;")
     )
-    # What would begin a list or a heading's rule.
+    # At the start of a line these begin a list or underline a heading.
     return f"\\{escaped}" if escaped[:1] in ("-", "+", "=") else escaped
 
 
 def literal(text: str) -> str:
-    """Somebody else's words as code: names of files, channels."""
+    """Foreign text, such as names of files or channels, as code in Markdown."""
     escaped = printable(text)
     return plain(escaped) if not escaped or "`" in escaped or "|" in escaped else f"`{escaped}`"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table's lines, cells as they are (Markdown), with empty lines around it.
+    """Lines of a table, its cells being Markdown, with an empty line before and after.
 
     A column whose name ends with a colon is aligned to the right.
     """
@@ -49,32 +50,32 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def folded(summary: str, lines: Iterable[str]) -> list[str]:
-    """Lines that are shown on request, and on paper."""
+    """Lines in a section that is folded on the screen, and shown on paper."""
     return ["", "<details>", f"<summary>{html.escape(summary)}</summary>", "", *lines, "",
             "</details>", ""]  # fmt: skip
 
 
 def code(text: str, language: str) -> list[str]:
-    """A block of code, whatever is in it."""
+    """A block of code, fenced with more backticks than the code contains in a row."""
     longest = max((len(run) for run in re.findall(r"`{3,}", text)), default=2)
     fence = "`" * (longest + 1)
     return [f"{fence}{language}", text.rstrip("\n"), fence]
 
 
 def picture(words: str, stem: str) -> list[str]:
-    """A picture, `stem`.svg beside the report; words: what it shows, for who does not see it."""
+    """A picture, `stem`.svg beside the report; words: its description for readers without it."""
     return ["", f"![{plain(words)}]({stem}.svg)", ""]
 
 
 class Anchors:
-    """Names of headings, as those who show Markdown make them."""
+    """Anchors of headings, formed as Markdown viewers form them."""
 
     def __init__(self) -> None:
-        """None given yet."""
+        """Start without anchors."""
         self._given: dict[str, int] = {}
 
     def anchor_of(self, heading: str) -> str:
-        """The name of the next heading of this text."""
+        """Anchor of the next heading with this text."""
         name = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") or "section"
         count = self._given.get(name, 0)
         self._given[name] = count + 1
@@ -88,10 +89,10 @@ def write(
     figures: Iterable[str],
     spans: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """`report.md` and `report.html` in `folder`; `figures`: stems of the SVG files there.
+    """Write `report.md` and `report.html` in `folder`; `figures`: stems of the SVG files there.
 
-    spans: by stem, seconds on the axis of time of `figures.panels`: these have zoom. Raises
-    OSError.
+    spans: seconds on the time axis by stem, for pictures of `figures.panels`, which get a zoom.
+    Raises OSError.
     """
     from markdown_it import MarkdownIt
 

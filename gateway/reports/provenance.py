@@ -1,4 +1,4 @@
-"""Which program, file and configuration: version, commit, SHA-256, TOML. For reports."""
+"""Provenance of a report: program version and commit, SHA-256 of files, configuration as TOML."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ NAME = "traction-gateway"
 
 
 class Program(NamedTuple):
-    """commit: "" where it is not known; changed: there were changes that are not in it."""
+    """Version of the program; commit: "" if unknown; changed: with uncommitted changes."""
 
     version: str
     commit: str = ""
     changed: bool = False
 
     def __str__(self) -> str:
-        """As a person says it."""
+        """Name, version and commit in one line."""
         where = f", commit {self.commit[:12]}" if self.commit else ""
         return f"{NAME} {self.version}{where}{' with changes' if self.changed else ''}"
 
 
 def program() -> Program:
-    """What runs: from the installation, or from the checkout that this package stands in."""
+    """The running program, from the data of its installation or from its git checkout."""
     version = metadata.version(NAME)
     direct_url = metadata.distribution(NAME).read_text("direct_url.json")
     if direct_url and (commit := json.loads(direct_url).get("vcs_info", {}).get("commit_id")):
@@ -44,7 +44,7 @@ def program() -> Program:
 
 
 def _git(root: Path, *words: str) -> str:
-    """What git says; nothing where there is none, or it does not trust the folder."""
+    """Output of git; empty without git, or if git rejects the folder."""
     try:
         done = subprocess.run(
             ["git", "-C", str(root), *words],
@@ -59,11 +59,11 @@ def _git(root: Path, *words: str) -> str:
 
 
 def sha256(path: Path) -> str:
-    """Of a file, in flat memory. Raises OSError."""
+    """SHA-256 of a file, with constant memory. Raises OSError."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def as_toml(config: Config) -> str:
-    """Every key that has a value, defaults included; `load` of it gives the same configuration."""
+    """TOML of all keys with a value, defaults included; `load` returns the same configuration."""
     return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True))

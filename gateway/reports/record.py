@@ -1,4 +1,4 @@
-"""The record of a run: `flags.csv`, `estimates.csv`, and when flags changed."""
+"""The record of a run: `flags.csv`, `estimates.csv`, and the changes of flags."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
 FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
 Change = tuple[int, int, str, str]
-"""Time in ns, node, flag, what it says from then on."""
+"""Time in ns, node, flag, new state."""
 FLAGS, ESTIMATES = "flags.csv", "estimates.csv"
 FLAGS_HEADER = (
     "t_s", "drive", "adhesion", "thermal", "reason", "adhesion_reason", "thermal_reason",
@@ -36,11 +36,11 @@ ESTIMATES_HEADER = (
 )  # fmt: skip
 
 _DECIMALS: Final = (4, 4, 4, 4, 3, 2, 3, 4, 4, 1)
-"""Of the numbers in `estimates.csv`."""
+"""Decimals of the numbers in `estimates.csv`."""
 _LINES: Final = 512
-"""That there is room for at once."""
+"""Number of the longest lines that the text buffer holds."""
 NEITHER: Final = -1
-"""No flag says this."""
+"""A value that no flag has."""
 
 
 def camel(name: str) -> str:
@@ -52,14 +52,14 @@ Column = NDArray[Any]
 
 
 class Coded(NamedTuple):
-    """A column of words by their codes."""
+    """A column of codes, and the word of each code."""
 
     code: NDArray[np.uint8]
     words: Column
 
 
 def in_words(column: Coded | Column) -> Column:
-    """A column's words, or numbers."""
+    """The words of a column of codes; any other column unchanged."""
     return column.words[column.code] if isinstance(column, Coded) else column
 
 
@@ -78,7 +78,7 @@ _REASONS, _HEALTH, _CLASSES = (
 
 
 def flag_columns(ticks: Ticks) -> tuple[Coded, ...]:
-    """What follows the drive in `flags.csv`, each (K N,)."""
+    """The columns behind the drive in `flags.csv`, each (K N,) for K ticks of N drives."""
     drives = ticks.drives.reshape(-1)
     states = drives["flag"]["state"]
     adhesion, thermal = drives["adhesion_reason"], drives["thermal_reason"]
@@ -92,7 +92,7 @@ def flag_columns(ticks: Ticks) -> tuple[Coded, ...]:
 
 
 def estimate_columns(ticks: Ticks) -> tuple[Coded | Column, ...]:
-    """What follows the drive in `estimates.csv`, each (K N,); NaN: not known."""
+    """The columns behind the drive in `estimates.csv`, each (K N,); NaN: not known."""
     drives, wear = ticks.drives.reshape(-1), ticks.wear.reshape(-1, ticks.wear.shape[2])
     return (
         Coded(drives["health"], _HEALTH), drives["speed_rad_s"], drives["load_nm"],
@@ -105,7 +105,7 @@ class Table:
     """Writes the lines of a table: seconds and node, then its columns."""
 
     def __init__(self, stream: IO[bytes], header: Sequence[str], nodes: Sequence[int]) -> None:
-        """nodes: in the order of the ticks' drives. Raises OSError."""
+        """nodes: in the order of the drives in the ticks. Raises OSError."""
         self._stream = stream
         self._nodes = np.array(nodes, np.int32)
         line_bytes = lib.TABLE_MAX_HEAD + len(header) * lib.TABLE_MAX_FIELD
@@ -113,7 +113,7 @@ class Table:
         stream.write(",".join(header).encode() + b"\n")
 
     def add(self, t_ns: NDArray[np.int64], columns: Sequence[Coded | Column]) -> None:
-        """Rows of ticks; columns: of `_DECIMALS`, but for words. Raises OSError."""
+        """Write the rows of ticks; number columns use `_DECIMALS` in turn. Raises OSError."""
         decimals = iter(_DECIMALS)
         arrays = [np.ascontiguousarray(one.code if isinstance(one, Coded) else one)
                   for one in columns]  # fmt: skip
@@ -136,7 +136,7 @@ class Table:
                 row += 1
 
     def _line(self, t_ns: NDArray[np.int64], columns: Sequence[Coded | Column], row: int) -> bytes:
-        """A row with a number beyond the core's digits."""
+        """A row with a number that is too long for the core."""
         tick, drive = divmod(row, len(self._nodes))
         seconds, ns = divmod(t_ns.item(tick), 1_000_000_000)
         fields, decimals = [f"{seconds}.{ns:09d}", f"{self._nodes[drive]}"], iter(_DECIMALS)
@@ -155,26 +155,26 @@ def _kept(words: tuple[str, ...]) -> Any:
 
 
 def _words_of(words: Column) -> Any:
-    """By code, as the core takes them."""
+    """The words by code, as an array for the core."""
     return _kept(tuple(words))
 
 
 class Changes:
-    """When the flags of the drives changed, and their first values."""
+    """Changes of the flags of the drives, their first values included."""
 
     def __init__(self) -> None:
-        """None yet."""
+        """Start without changes."""
         self.changes: list[Change] = []
         self._last: dict[int, tuple[Flag, Flag]] = {}
         self._before: NDArray[np.int64] | None = None
 
     def add(self, view: GatewayView) -> None:
-        """Take one tick."""
+        """Process one tick."""
         for d in view.drives:
             self.note(view.t_ns, d.node, d.adhesion, d.thermal)
 
     def note(self, t_ns: int, node: int, adhesion: Flag, thermal: Flag) -> None:
-        """What a drive's flags say in a tick."""
+        """Process the flags of one drive in a tick."""
         before = self._last.get(node, (None, None))
         self._last[node] = adhesion, thermal
         if adhesion is not before[0]:
@@ -183,7 +183,7 @@ class Changes:
             self.changes.append((t_ns, node, "thermal", FAULT[thermal]))
 
     def add_ticks(self, ticks: Ticks, nodes: Sequence[int]) -> None:
-        """Take ticks; nodes: in the order of their drives."""
+        """Process ticks; nodes: in the order of the drives in them."""
         states = ticks.drives["flag"]["state"][:, :, [FlagKind.ADHESION, FlagKind.THERMAL]]
         states = states.astype(np.int64)
         first = np.full_like(states[:1], NEITHER) if self._before is None else self._before
@@ -195,13 +195,13 @@ class Changes:
 
 
 class Recorder(AbstractContextManager["Recorder"]):
-    """Writes both tables while ticks come. Context manager.
+    """Writes both tables during the run. Context manager.
 
-    The tables get their names when it is left; after an exception there are none.
+    The tables get their final names when the context ends; after an exception there are none.
     """
 
     def __init__(self, folder: Path, nodes: Sequence[int]) -> None:
-        """folder: where the tables go; nodes: in the order of the ticks' drives."""
+        """folder: for the tables; nodes: in the order of the drives in the ticks."""
         self.nodes = nodes
         self._files = ExitStack()
         parts = [self._files.enter_context(whole(folder / n)) for n in (FLAGS, ESTIMATES)]
@@ -210,7 +210,7 @@ class Recorder(AbstractContextManager["Recorder"]):
         self._estimates = Table(estimates, ESTIMATES_HEADER, nodes)
 
     def add(self, ticks: Ticks) -> None:
-        """Take ticks."""
+        """Write ticks to both tables."""
         t_ns = np.ascontiguousarray(ticks.t_ns)
         self._flags.add(t_ns, flag_columns(ticks))
         self._estimates.add(t_ns, estimate_columns(ticks))
@@ -220,5 +220,5 @@ class Recorder(AbstractContextManager["Recorder"]):
         self._files.close()
 
     def __exit__(self, *error: Any) -> None:
-        """Finish the tables, or take them away. Raises OSError."""
+        """Finish the tables, or remove them after an exception. Raises OSError."""
         self._files.__exit__(*error)

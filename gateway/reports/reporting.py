@@ -1,6 +1,6 @@
 """The files of `--results`: tables during the run, pictures and the report at its end.
 
-Imported only where results are asked for: a run without them pays nothing.
+Imported only if results are requested, so that a run without them has no extra cost.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ MAX_NS: Final[Nanos] = 2**63 - 1
 
 
 class Reporting(AbstractContextManager["Reporting"]):
-    """Everything that is kept of one run: a context manager to `add` each tick in, then `run`."""
+    """Collects the data of one run: a context manager. Call `add` for each tick, then `run`."""
 
     def __init__(self, folder: Path, config: Config, codec: Codec, together: int = MOST) -> None:
-        """folder: for tables and pictures; made here, so that one that cannot be is told early.
+        """folder: for tables and pictures; created here, so that a failure is reported early.
 
-        together: ticks that are worked on together.
+        together: number of ticks that are processed together.
 
-        Raises ConfigError where no picture can be drawn, OSError.
+        Raises ConfigError if no picture can be drawn, and OSError.
         """
         pictures("--results")
         folder.mkdir(parents=True, exist_ok=True)
@@ -60,24 +60,24 @@ class Reporting(AbstractContextManager["Reporting"]):
         self.trace = Trace(config.nodes)
         self.intervals = Intervals(config.nodes)
         self.uses: list[Use] = [self.recorder.add, self.trace.add, self.intervals.add]
-        """Who gets the ticks."""
+        """Functions to which the ticks are passed."""
         self._ticks = TickLog(self.uses, together)
         self._config = config
         self._codec = codec
         self._gateway: Gateway | None = None
 
     def begin(self, gateway: Gateway) -> None:
-        """The gateway whose ticks follow."""
+        """Set the gateway whose ticks follow."""
         self._gateway = gateway
 
     def add(self) -> None:
-        """Take its last tick."""
+        """Add the last tick of the gateway."""
         assert self._gateway is not None
         self._ticks.append(self._gateway)
 
     @property
     def next_ns(self) -> Nanos:
-        """See `Samples`: the first tick by itself, then as many as come."""
+        """See `Samples`: 0 before the first tick, then `MAX_NS`: the core keeps later ticks."""
         return MAX_NS if self._ticks.follows else 0
 
     def took(self, _now: Nanos, gateway: Gateway, _peak: NDArray[np.float64]) -> None:
@@ -85,7 +85,7 @@ class Reporting(AbstractContextManager["Reporting"]):
         self._ticks.follow(gateway)
 
     def add_truth(self, rows: Iterable[Row]) -> None:
-        """Take rows of truth, whose 0 is the first tick."""
+        """Add rows of truth, whose time 0 is the first tick."""
         if self.truth is None:
             self.truth = Truth()
         self.truth.add(rows)
@@ -97,9 +97,9 @@ class Reporting(AbstractContextManager["Reporting"]):
         self.timed = Timed(stages, period_ns, seen.tick + 1, seen.missed, "timing")
 
     def read_truth(self, path: Path) -> None:
-        """Take the rows that the drives' process has left, if it came to leave any.
+        """Add the rows of truth that the process of the drives has written, if there are any.
 
-        Its 0 is when the drives began to speak, which is the first tick but for a tick or two.
+        Their time 0 is the first frame of the drives, within a tick or two of the first tick.
         """
         if path.is_file():
             self.add_truth(rows(path))
@@ -110,7 +110,7 @@ class Reporting(AbstractContextManager["Reporting"]):
         self.recorder.close()
 
     def __exit__(self, *error: Any) -> None:
-        """Finish the tables, or take them away. Raises OSError."""
+        """Finish the tables, or remove them after an exception. Raises OSError."""
         if error[1] is None:
             self._ticks.flush()
         self.recorder.__exit__(*error)
@@ -126,9 +126,9 @@ class Reporting(AbstractContextManager["Reporting"]):
         overload: str = "",
         step: Callable[[str], None] = lambda _what: None,
     ) -> Run:
-        """Draw the pictures; what the report needs. inside: this folder as the report sees it.
+        """Draw the pictures; return the data of the report. inside: path from report to folder.
 
-        step: called with each picture before it is drawn, N + 1 times.
+        step: called with the name of each picture before it is drawn, N + 1 times.
         """
         gateway, config = self._gateway, self._config
         assert gateway is not None
@@ -151,7 +151,7 @@ class Reporting(AbstractContextManager["Reporting"]):
 
 
 def leave(folder: Path, title: str, runs: Sequence[Run], *, single: bool) -> Path:
-    """Write the report of these runs; the HTML file. Raises OSError."""
+    """Write the report of these runs; return the path of its HTML file. Raises OSError."""
     run_report.leave(folder, title, runs, str(program()), single=single)
     return folder / "report.html"
 
@@ -166,7 +166,7 @@ def file_facts(path: Path, what: str) -> Facts:
 
 
 def span_facts(trace: Trace, received: int) -> Facts:
-    """How much it was."""
+    """Time, frames and drives of a run."""
     return [
         ("time", f"{trace.span_s:,.3f} s, {trace.ticks:,} ticks"),
         ("frames", f"{received:,}"),
@@ -175,14 +175,14 @@ def span_facts(trace: Trace, received: int) -> Facts:
 
 
 def _numbers(nodes: tuple[int, ...]) -> str:
-    """Nodes as a person writes them."""
+    """Nodes as text: `1 to 6` or `1, 3`."""
     if len(nodes) > 3 and nodes == tuple(range(nodes[0], nodes[0] + len(nodes))):
         return f"{nodes[0]} to {nodes[-1]}"
     return ", ".join(map(str, nodes))
 
 
 def replay_facts(path: Path, done: Replayed, trace: Trace) -> Facts:
-    """What was replayed."""
+    """File, channel, span and first and last time of a replay."""
     first, last = (f"{ns // 10**9}.{ns % 10**9:09d}" for ns in (done.first_ns, done.last_ns))
     return [
         *file_facts(path, "log"),
@@ -209,6 +209,6 @@ def _configuration(config: Config, codec: Codec, gateway: Gateway) -> Facts:
 
 
 def _bus(config: Config) -> str:
-    """Bit rates that the load is a share of."""
+    """Bit rates on which the bus load is based."""
     rate = f"at {config.bus.bitrate / 1e6:g} Mbit/s"
     return f"{rate} and {config.bus.data_bitrate / 1e6:g} Mbit/s for FD data"

@@ -1,4 +1,4 @@
-"""The figures of a run's report: one of the whole train's flags, one of each drive."""
+"""The figures of a run's report: one with the flags of the whole train, and one of each drive."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ _POINT_NAME: Final = dict(
 )
 
 EMPTY: Final = 0.42
-"""Height of a panel that only says that nothing was known."""
+"""Height in inches of a panel without values."""
 LEAST_RAD_S: Final = 2.0
 LEAST_K: Final = 0.5
-"""Axes are never finer than this: noise that fills a panel looks like news."""
+"""Least spans of the axes of speed and MAISD: else noise fills a panel and looks like an event."""
 
 
 def draw(
@@ -61,9 +61,9 @@ def draw(
     raise_probability: float,
     step: Callable[[str], None],
 ) -> list[str]:
-    """Write them as SVG; their names without suffix: `flags`, then `drive<node>`.
+    """Write the figures as SVG; return their names without suffix: `flags`, then `drive<node>`.
 
-    step: called with each before it is drawn, N + 1 times.
+    step: called with the name of each figure before it is drawn, N + 1 times.
     """
     with styled():
         step("picture of the flags")
@@ -75,7 +75,7 @@ def draw(
 
 
 def _spans(truth: Truth | None, node: int, flag: str) -> list[Span]:
-    """What was true of a drive; a sensor's fault is shown with the thermal ones."""
+    """True intervals of a drive; faults of sensors are shown with the thermal ones."""
     events = [] if truth is None else truth.events
     shown = ("thermal", "sensor") if flag == "thermal" else (flag,)
     return [
@@ -84,7 +84,7 @@ def _spans(truth: Truth | None, node: int, flag: str) -> list[Span]:
 
 
 def train(path: Path, trace: Trace, truth: Truth | None) -> None:
-    """Adhesion and thermal flags of every drive, and the bus load."""
+    """Draw adhesion and thermal flags of every drive, and the bus load."""
     nodes, end_s = trace.nodes, trace.span_s
     high = 0.15 + 0.24 * len(nodes)
     load = trace.of_all("bus_load_percent")
@@ -107,7 +107,7 @@ def train(path: Path, trace: Trace, truth: Truth | None) -> None:
 
 
 def _true_frame(axis: Axes, row: int, spans: list[Span]) -> None:
-    """What was really so, as a frame behind the strip."""
+    """Draw the true intervals as frames behind the strip."""
     bars = [(s.start_s, max(s.end_s - s.start_s, 1e-9)) for s in spans]
     if bars:
         axis.broken_barh(bars, (row - 0.5, 1.0), facecolor="#cccccc", edgecolor="black", lw=0.5)
@@ -116,7 +116,7 @@ def _true_frame(axis: Axes, row: int, spans: list[Span]) -> None:
 def drive(
     path: Path, trace: Trace, node: int, truth: Truth | None, raise_probability: float
 ) -> None:
-    """Load, loss probability, flags, speed and heat of one drive."""
+    """Draw load, loss probability, flags, speed and temperatures of one drive."""
     end_s = trace.span_s
     true_loss, true_fault = _spans(truth, node, "adhesion"), _spans(truth, node, "thermal")
     rows = ["adhesion", "thermal"]

@@ -1,7 +1,7 @@
-"""The report of a run, replayed or on a bench: configuration, flags, and their score.
+"""The report of a run, from a replay or a bench: configuration, flags, and their score.
 
-One Markdown text for `report.md` and `report.html`. Nothing in it depends on when or where it was
-written: the same run gives the same bytes.
+One Markdown text for `report.md` and `report.html`. Nothing in it depends on the time or place of
+writing: the same run gives the same bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gateway.reports.expectations import Verdict
 
 FEW: Final = 30
-"""Rows of a table that need not be folded."""
+"""Most rows of a table that is not folded."""
 STATES: Final = (
     ("adhesion", "Adhering"), ("adhesion", "AdhesionLost"), ("adhesion", "Unknown"),
     ("thermal", "NoFault"), ("thermal", "Fault"), ("thermal", "Unknown"),
@@ -49,10 +49,10 @@ class Timed(NamedTuple):
 
 @dataclass
 class Run:
-    """One run, as far as a report needs it.
+    """Data of one run for its report.
 
-    facts, configuration: rows of (what, value), Markdown; toml: all that was configured; figures:
-    stems, relative to the report: `flags`, then one for each drive; counts: the inbox's.
+    facts, configuration: rows of (name, value), Markdown; toml: the whole configuration; figures:
+    stems, relative to the report: `flags`, then one for each drive; counts: those of the inbox.
     """
 
     title: str
@@ -73,7 +73,7 @@ class Run:
     """Why this machine was too slow for the run, so that no failure counts."""
 
     def judged(self) -> tuple[list[Judged], set[Interval]]:
-        """Events with delays, and false flags: of the drives of which truth is known."""
+        """Events with delays, and false flags, for the drives with a known truth."""
         if self.truth is None:
             return [], set()
         known = self.truth.nodes
@@ -85,7 +85,7 @@ class Run:
 
 
 def leave(folder: Path, title: str, runs: Sequence[Run], program: str, *, single: bool) -> None:
-    """Write `report.md` and `report.html`. single: the page is about one run only.
+    """Write `report.md` and `report.html`. single: the page shows only one run.
 
     Raises OSError.
     """
@@ -105,14 +105,14 @@ def leave(folder: Path, title: str, runs: Sequence[Run], program: str, *, single
 
 
 def _tight(text: str) -> str:
-    """Never more than one empty line."""
+    """The text with at most one empty line in a row."""
     while "\n\n\n" in text:
         text = text.replace("\n\n\n", "\n\n")
     return text.rstrip("\n") + "\n"
 
 
 def _contents(headings: Sequence[str]) -> list[str]:
-    """Links to the page's parts, in the order of their names' numbering."""
+    """Links to the sections of the page, in the order of the headings."""
     anchors = Anchors()
     anchors.anchor_of(headings[0])
     parts: list[list[str]] = []
@@ -134,7 +134,7 @@ def _plural(count: int, one: str, many: str = "") -> str:
 
 
 def _verdict(run: Run) -> list[str]:
-    """What a person wants to know first."""
+    """The result of a run, for the top of its report."""
     lines = []
     if run.verdicts:
         bad = sum(not v.passed for v in run.verdicts)
@@ -162,7 +162,7 @@ def _verdict(run: Run) -> list[str]:
 
 
 def _summary(intervals: Intervals) -> str:
-    """What was flagged, and for what share of the time the flags could say so."""
+    """What was flagged, and the share of the time in which the flags were known."""
     other = sum(1 for _ in intervals.other_bad())
     parts = [
         _flagged(intervals, "adhesion", "Adhesion", "AdhesionLost", "loss", "losses"),
@@ -189,7 +189,7 @@ def _flagged(
 
 
 def _never(intervals: Intervals, flag: str) -> str:
-    """Whose flag was never known, of some drives."""
+    """The drives whose flag was never known, as text; empty if there are none."""
     states: dict[int, set[str]] = {}
     for (node, f, state), spent in intervals.seconds.items():
         if f == flag and spent > 0.0:
@@ -199,7 +199,7 @@ def _never(intervals: Intervals, flag: str) -> str:
 
 
 def _seconds(intervals: Intervals, flag: str) -> Iterable[tuple[str, float]]:
-    """Of all drives together, by state."""
+    """Seconds in each state, summed over all drives."""
     total: dict[str, float] = {}
     for (_, f, state), spent in intervals.seconds.items():
         if f == flag:
@@ -208,7 +208,7 @@ def _seconds(intervals: Intervals, flag: str) -> Iterable[tuple[str, float]]:
 
 
 def _all(runs: Sequence[Run]) -> list[str]:
-    """Of several runs."""
+    """The result of several runs."""
     verdicts = [v for run in runs for v in run.verdicts]
     bad = sum(not v.passed for v in verdicts)
     failed = sum(any(not v.passed for v in run.verdicts) for run in runs)
@@ -323,7 +323,7 @@ def _intervals(
     *,
     known: bool,
 ) -> list[str]:
-    """known: a column for what the truth says of each."""
+    """Table of intervals; known: with a column for the truth of each."""
     rows = []
     for i in intervals:
         begin, end = (i.start_ns - start_ns) / 1e9, (i.end_ns - start_ns) / 1e9
@@ -383,7 +383,7 @@ def _frames(run: Run) -> list[str]:
 
 
 def _glossary(runs: Sequence[Run]) -> list[str]:
-    """The reasons that occurred."""
+    """Explanation of the report, with the reasons that occurred."""
     seen = {cause for run in runs for i in run.intervals.kept for cause in i.causes}
     rows = [(camel(r.name), text) for r, text in words.REASONS.items() if camel(r.name) in seen]
     summary = (

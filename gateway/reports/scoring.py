@@ -1,18 +1,18 @@
-"""Whether a flag came, when, and whether it was false: all rules of scoring.
+"""All rules of scoring: whether a flag was raised, with which delay, and whether it was false.
 
 `first` looks for a state in the flag frames of a run, `judge` matches events of the truth with
 intervals of flags, `score_flag` counts flag frames against the truth.
 
 F1 leaves out `EDGE_S` around each edge of the truth and the first `SKIP_S`; unknown counts as
-not raised. Delay runs from the truth's onset to the time stamp of the first `AdhesionLost`.
+not raised. The delay is the time from the true onset to the stamp of the first `AdhesionLost`.
 
-A loss counts from `SHALLOW` on: where less of the demand is missing for longer than an edge (a
-slow onset, a rail that carries nearly all), frames are neither right nor wrong. A false alarm is
-a stretch of `AdhesionLost` that touches no loss, from an edge before it to an edge after it.
+A loss counts from a depth of `SHALLOW` on. While it is shallower for longer than an edge (a slow
+onset, a rail that carries nearly all), frames are neither right nor wrong. A false alarm is a
+series of `AdhesionLost` that touches no loss, with an edge added before and after each loss.
 
-Where the rail is back and the drive's own limiter still holds its torque back, nothing shows that
-the rail is back. Frames of `AdhesionLost` there count as false, and are counted once more by
-themselves, so that F1 can be said without them.
+If the adhesion is back, but the drive's own limiter still reduces its torque, no measurement shows
+that it is back. Frames of `AdhesionLost` at that time count as false, and also separately, so that
+F1 can be given without them.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 EDGE_S: Final = 0.03
-"""Nothing is false so soon after what was true, and no frame counts so near to an edge of it."""
+"""No flag is false within this time after an event; no frame counts so near to an edge of it."""
 SKIP_S: Final = 0.5
-"""The start, in which no frame counts."""
+"""Time at the start in which no frame counts."""
 SHALLOW: Final = 0.2 - 1e-9
-"""Share of the demand whose loss need not be found."""
+"""Depth of a loss, as share of the demand, below which it need not be found."""
 DEEP: Final = 0.5
 LATE_S: Final = 0.1
-"""A flag that still says `Adhering` so long after the onset of a loss is dangerous."""
+"""A flag that is still `Adhering` for longer than this after the onset of a loss is dangerous."""
 ABRUPT_S: Final = 0.02
-"""A loss that takes half of the demand within this time of its onset is abrupt."""
+"""A loss is abrupt if half of the demand is lost within this time after its onset."""
 GRACE_S: Final = 5e-7
-"""Stamps and the truth's rows are decimals of one grid."""
+"""Tolerance of times: stamps and times of the truth are decimal numbers of the same grid."""
 
 
 class Judged(NamedTuple):
-    """An event and the interval of its flag that tells it; None if none does."""
+    """An event, the interval of its flag that detects it, and its delay; None if none does."""
 
     event: Event
     by: Interval | None
@@ -58,7 +58,7 @@ class Judged(NamedTuple):
 
 
 def first(seen: Sequence[tuple[Nanos, Flag]], wanted: Flag, from_ns: Nanos) -> Nanos | None:
-    """Stamp of the first of a flag's frames, from then on, with this state; None if none has it."""
+    """Stamp of the first frame of a flag from `from_ns` on with this state; None without one."""
     begin = bisect_left(seen, from_ns, key=itemgetter(0))
     return next((t for t, state in islice(seen, begin, None) if state is wanted), None)
 
@@ -68,8 +68,8 @@ def judge(
 ) -> tuple[list[Judged], set[Interval]]:
     """Every event with the delay of its flag, and the bad intervals that no event explains.
 
-    An event is found by the first bad interval of its flag that begins, or already holds, in it.
-    start_ns: the report's 0. Pass intervals only of drives of which the truth is known.
+    An event is found by the first bad interval of its flag that begins in it, or holds already.
+    start_ns: time 0 of the report. Pass only intervals of drives with a known truth.
     """
     bad = [i for i in intervals if i.bad]
     false = set(bad)
@@ -90,7 +90,7 @@ def judge(
 
 
 def summary_table(judged: Sequence[Judged], nodes: Sequence[int]) -> str:
-    """Per drive: losses injected, found, delay."""
+    """Table of the losses of each drive: number, found, median and longest delay."""
     lines = ["drive  losses  found  median delay / ms  worst / ms"]
     for node in nodes:
         mine = [j for j in judged if j.event.node == node]
@@ -101,13 +101,13 @@ def summary_table(judged: Sequence[Judged], nodes: Sequence[int]) -> str:
 
 
 class Score(NamedTuple):
-    """Counts over drives and flag frames; add scores to pool runs.
+    """Counts over drives and flag frames; `plus` pools runs.
 
-    good, unknown: healthy frames that say `Adhering` or nothing; healthy: all healthy frames
-    counted. delays_ms: of the losses found; missed: losses without a flag until they end.
-    abrupt_ms: the delays of abrupt losses. alarms: false ones; train_s: healthy time, a drive's
-    mean. dangerous: lost frames later than `LATE_S` after the onset that say `Adhering`. cut: of
-    false_positive, those of a drive that cuts its own torque.
+    good, unknown: healthy frames with `Adhering` and with `Unknown`; healthy: all healthy frames
+    that count. delays_ms: of the losses found; missed: number of losses without a flag until they
+    end. abrupt_ms: delays of abrupt losses. alarms: false alarms; train_s: healthy time, mean of
+    the drives. dangerous: frames with `Adhering` more than `LATE_S` after the onset of a loss. cut:
+    frames of false_positive of a drive that cuts its own torque.
     """
 
     true_positive: int = 0
@@ -125,65 +125,65 @@ class Score(NamedTuple):
     cut: int = 0
 
     def plus(self, other: Score) -> Score:
-        """Both runs pooled."""
+        """The score of both runs pooled."""
         pairs: Iterable[tuple[Any, Any]] = zip(self, other, strict=True)
         return Score(*(mine + its for mine, its in pairs))
 
     @property
     def losses(self) -> int:
-        """Losses there were."""
+        """Number of losses."""
         return len(self.delays_ms) + self.missed
 
     @property
     def f1(self) -> float:
-        """2 TP / (2 TP + FP + FN); 1 where nothing was lost and nothing raised."""
+        """2 TP / (2 TP + FP + FN); 1 if no adhesion was lost and no flag raised."""
         bad = self.false_positive + self.false_negative
         return _share(2 * self.true_positive, 2 * self.true_positive + bad)
 
     @property
     def uncut_f1(self) -> float:
-        """F1 without frames in which a drive on a good rail cuts its own torque."""
+        """F1 without false frames in which a drive on a good rail cuts its own torque."""
         return self._replace(false_positive=self.false_positive - self.cut).f1
 
     @property
     def precision(self) -> float:
-        """TP / (TP + FP); 1 where nothing was raised."""
+        """TP / (TP + FP); 1 if no flag was raised."""
         return _share(self.true_positive, self.true_positive + self.false_positive)
 
     @property
     def recall(self) -> float:
-        """TP / (TP + FN); 1 where nothing was lost."""
+        """TP / (TP + FN); 1 if no adhesion was lost."""
         return _share(self.true_positive, self.true_positive + self.false_negative)
 
     @property
     def good_share(self) -> float:
-        """Share of healthy flag frames that say `Adhering`."""
+        """Share of healthy flag frames with `Adhering`; 1 if there are none."""
         return _share(self.good, self.healthy)
 
     @property
     def false_share(self) -> float:
-        """Share of healthy flag frames that say `AdhesionLost`; 0 where there are none."""
+        """Share of healthy flag frames with `AdhesionLost`; 0 if there are none."""
         return self.false_positive / self.healthy if self.healthy else 0.0
 
     @property
     def unknown_share(self) -> float:
-        """Share of healthy flag frames that say nothing; 0 where there are none."""
+        """Share of healthy flag frames with `Unknown`; 0 if there are none."""
         return self.unknown / self.healthy if self.healthy else 0.0
 
     @property
     def dangerous_share(self) -> float:
-        """Share of lost flag frames that are `dangerous`; 0 where there are none."""
+        """Share of the flag frames during losses that are `dangerous`; 0 if there are none."""
         lost = self.true_positive + self.false_negative
         return self.dangerous / lost if lost else 0.0
 
     @property
     def alarms_per_hour(self) -> float:
-        """False alarms per healthy hour of the train; 0 where there is no healthy time."""
+        """False alarms per healthy hour of the train; 0 if there is no healthy time."""
         return 3600.0 * self.alarms / self.train_s if self.train_s else 0.0
 
     @property
     def median_delay_ms(self) -> float:
-        """Median over the losses found; infinite if none was."""
+        """Median delay of the losses found; infinite if there are none."""
         return quantile(self.delays_ms, 0.5)
 
 
@@ -192,13 +192,13 @@ def _share(part: int, whole: int) -> float:
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """The value that this share of them does not exceed, upper of two; infinite of none."""
+    """Quantile of the values, the upper of two neighbours; infinite without values."""
     ordered = sorted(values)
     return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else float("inf")
 
 
 class Truth(NamedTuple):
-    """What is really so of one drive at K instants (K,): lost; depth 0..1; cuts its own torque."""
+    """True state of one drive at K instants, each (K,): lost; depth 0..1; cuts its own torque."""
 
     t_s: Array
     lost: Flags
@@ -206,7 +206,7 @@ class Truth(NamedTuple):
     cuts: Flags
 
     def at(self, t_s: Array) -> NDArray[np.int64]:
-        """(T,) row in force at times (T,): the last one not later; -1 before the first."""
+        """(T,) row valid at times (T,): the last one not later; -1 before the first."""
         return np.searchsorted(self.t_s, t_s + GRACE_S, side="right") - 1
 
     def edges(self) -> Array:
@@ -220,11 +220,11 @@ class Truth(NamedTuple):
         return out
 
     def losses(self) -> list[tuple[int, int]]:
-        """Rows (first, last + 1) of each stretch of lost adhesion."""
+        """Rows (first, last + 1) of each interval of lost adhesion."""
         return stretches(self.lost)
 
     def counted(self, t_s: Array) -> Flags:
-        """(T,) which of these times are judged at all."""
+        """(T,) which of these times count for the score."""
         edges = self.edges()
         shallow = self.lost & (self.depth < SHALLOW)
         for first, last in stretches(shallow):
@@ -241,7 +241,7 @@ class Truth(NamedTuple):
 
 
 def truth_of(rows: Iterable[Row], node: int) -> Truth:
-    """One drive's truth; rows without a depth count as deep, without `given` as not cut."""
+    """Truth of one drive; rows without `depth` count as depth 1, rows without `cut` as not cut."""
     mine = [row for row in rows if row.drive == node]
     lost = np.array([bool(row.lost) for row in mine], dtype=np.bool_)
     depth = np.array([getattr(row, "depth", 1.0) for row in mine], dtype=np.float64)
@@ -250,7 +250,7 @@ def truth_of(rows: Iterable[Row], node: int) -> Truth:
 
 
 def everyone(truths: Sequence[Truth]) -> Truth:
-    """Lost while every drive is, as deep as the least of them."""
+    """Truth of the train: lost (or cut) while every drive is, with the least depth of all."""
     lost = np.logical_and.reduce([truth.lost for truth in truths])
     depth = np.minimum.reduce([truth.depth for truth in truths])
     cuts = np.logical_and.reduce([truth.cuts for truth in truths])
@@ -258,7 +258,7 @@ def everyone(truths: Sequence[Truth]) -> Truth:
 
 
 def score_flag(truth: Truth, t_s: Array, flag: NDArray[np.int64]) -> Score:
-    """Score one flag (T,), values of `Flag`, that stood on the wire at times (T,)."""
+    """Score the values (T,) of one flag, a `Flag` each, from the flag frames at times (T,)."""
     counted = truth.counted(t_s)
     row = truth.at(t_s)
     lost = truth.lost[row] & (row >= 0)
@@ -282,7 +282,7 @@ def score_flag(truth: Truth, t_s: Array, flag: NDArray[np.int64]) -> Score:
 
 
 def _alarms(truth: Truth, t_s: Array, raised: Flags) -> int:
-    """Stretches of raised flags that touch no loss."""
+    """Number of series of raised flags that touch no loss."""
     near = truth.lost[truth.at(t_s)] & (truth.at(t_s) >= 0)
     for edge in truth.edges():
         near = near | (np.abs(t_s - edge) < EDGE_S - GRACE_S)
@@ -308,11 +308,11 @@ def _delays(truth: Truth, raised_s: Array) -> Score:
 
 
 def _changes(values: Flags) -> NDArray[np.int64]:
-    """Rows at which a flag differs from the row before; before the first it is down."""
+    """Rows at which a flag differs from the row before; before the first it is False."""
     return np.flatnonzero(np.diff(values, prepend=False))
 
 
 def stretches(values: Flags) -> list[tuple[int, int]]:
-    """Rows (first, last + 1) of each stretch of raised flags."""
+    """Rows (first, last + 1) of each series of raised flags."""
     edges = _changes(np.append(values, np.False_)).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))

@@ -1,6 +1,6 @@
-"""Ticks of a run in columns: what its tables, pictures and intervals are made from.
+"""Ticks of a run in columns, from which its tables, pictures and intervals are made.
 
-The core keeps a row of each tick (`gateway/core/tick_log.c`); the rest is done for many together.
+The core keeps a row of each tick (`gateway/core/tick_log.c`); the rest processes many at a time.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from gateway.core.gateway import Gateway
 Array = NDArray[np.float64]
 
 MOST: Final = 8
-"""Ticks that are worked on together where a live loop waits for them."""
+"""Ticks processed together while a live loop waits for them."""
 MOST_OF_LOG: Final = 512
-"""The same where nobody waits: less than 1 MB of three drives."""
+"""Ticks processed together if no loop waits: less than 1 MB for three drives."""
 WEAR: Final = ("degradation_k_h", "degradation_sigma_k_h", "hours_to_limit")
 
 
 class Ticks(NamedTuple):
-    """K ticks of N drives, in their order.
+    """K ticks of N drives, in the order of time.
 
-    t_ns (K,); drives (K, N) of `drive_status`, train (K,) of `train_status`. NaN where a value is
-    not known: bus_load_percent (K,); wear (K, N, 3): K/h, its sigma, h to the limit; celsius
-    (K, N, 4): of readings that came in the tick.
+    t_ns (K,); drives (K, N) of `drive_status`; train (K,) of `train_status`. NaN if a value is not
+    known: bus_load_percent (K,); wear (K, N, 3): K/h, its sigma, h to the limit; celsius
+    (K, N, 4): readings received in the tick.
     """
 
     t_ns: NDArray[np.int64]
@@ -44,10 +44,10 @@ Use = Callable[[Ticks], None]
 
 
 class TickLog:
-    """Keeps ticks of a gateway, and hands them on, many at a time."""
+    """Keeps ticks of a gateway, and passes them on, many at a time."""
 
     def __init__(self, uses: Sequence[Use], most: int = MOST) -> None:
-        """uses: who gets them, in this order; most: ticks at a time."""
+        """uses: functions that get the ticks, in this order; most: ticks at a time."""
         self._uses = uses
         self._most = most
         self._follows = False
@@ -60,14 +60,14 @@ class TickLog:
         return self._follows
 
     def append(self, gateway: Gateway) -> None:
-        """Take its last tick."""
+        """Keep the last tick of the gateway."""
         if self._drives != len(gateway.nodes):
             self._allocate(gateway)
         lib.log_tick(gateway.pointer, self._log, gateway.now_ns)
         self._flush_full()
 
     def follow(self, gateway: Gateway) -> None:
-        """Take its last tick, and from then on each by itself; call it again after each `run`."""
+        """Keep its last tick, and let the core keep all later ones; call it after each `run`."""
         if not self._follows:
             self.append(gateway)
             gateway.keep_ticks(self._log)
@@ -79,10 +79,10 @@ class TickLog:
             self.flush()
 
     def _allocate(self, gateway: Gateway) -> None:
-        """For ticks of so many drives."""
+        """Allocate the log for the number of drives of this gateway."""
         self.flush()
         self._drives = len(gateway.nodes)
-        # One piece of memory: a gateway that is followed holds it as long as the address.
+        # One piece of memory: a followed gateway keeps it alive as long as its address.
         self._rows = np.zeros(1, [
             ("log", TICK_LOG), ("ticks", TICK_ROW, (self._most,)),
             ("drives", DRIVE_ROW, (self._most, self._drives)),
@@ -93,7 +93,7 @@ class TickLog:
         self._log.capacity, self._log.limit_k = self._most, gateway.thermal.limit_k
 
     def flush(self) -> None:
-        """Hand on what was kept."""
+        """Pass on the ticks that are kept."""
         count = self._log.count if self._drives else 0
         if not count:
             return

@@ -13,7 +13,7 @@ from gateway.io.whole_file import whole
 HEADER: Final = ("stage", "from_us", "below_us", "count")
 _COLUMNS: Final = 2
 _SHOWN_NS: Final = 1024
-"""What is shorter shares one bar."""
+"""All shorter times share one bar."""
 
 
 def leave(
@@ -66,7 +66,7 @@ def section(
 
 
 def _picture(path: Path, stages: Sequence[Stage], period_ns: int) -> None:
-    """A histogram per stage, a bar an octave, on one axis of time."""
+    """Draw a histogram for each stage, with a bar for each octave, on one time axis."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
 """Ticks as messages for plotting programs: flags, estimates and events, and a layout for Foxglove.
 
 `/flags/driveN` and `/estimates/driveN` have the columns of `flags.csv` and `estimates.csv`, codes
-also by name; `/flags/train` the flags of the gateway; `/events` a `foxglove.Log` for each change.
+also by name; `/flags/train` has the flags of the train; `/events` a `foxglove.Log` per change.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from gateway.reports.ticks import Ticks
 
 TRAIN: Final = ("sensor", "comm", "estimator", "overrun", "common_mode")
 _LEVELS: Final = {ADHESION[Flag.BAD]: 4, FAULT[Flag.BAD]: 4, ADHESION[Flag.UNKNOWN]: 3}
-"""`foxglove.Log`: 2 info, 3 warning, 4 error."""
+"""Levels of `foxglove.Log`: 2 info, 3 warning, 4 error."""
 _INFO: Final = 2
 _WORDS: Final = by_code({flag: camel(flag.name) for flag in Flag})
 _TIME: Final = {
@@ -51,20 +51,20 @@ class Target(Protocol):
     """A file of messages."""
 
     def channel(self, topic: str, name: str, properties: Mapping[str, Any]) -> int:
-        """Number of a topic. name, properties: of its JSON schema."""
+        """Number of a topic. name, properties: name and properties of its JSON schema."""
 
     def put(self, messages: Iterable[tuple[Nanos, int, str]]) -> None:
         """Add messages: time, number of the topic, JSON."""
 
     def flush(self, until_ns: Nanos | None = None) -> None:
-        """No message up to this time follows."""
+        """Write what is held: no message up to this time follows."""
 
 
 class Topics:
     """Writes ticks to a file of messages."""
 
     def __init__(self, nodes: Sequence[int], file: Target) -> None:
-        """nodes: in the order of the ticks' drives."""
+        """nodes: in the order of the drives in the ticks."""
         self._nodes, self._file = nodes, file
         self._changes = Changes()
 
@@ -93,7 +93,7 @@ class Topics:
         self, ticks: Ticks, name: str, topics: Sequence[str], header: Sequence[str],
         columns: Sequence[Coded | Column],
     ) -> None:  # fmt: skip
-        """Columns (K N,) of N topics."""
+        """Write columns (K N,) to N topics."""
         properties = {}
         for key, column in zip(header, columns, strict=True):
             properties[key] = {"type": "number"}
@@ -108,7 +108,7 @@ class Topics:
 
 
 def _rows(header: Sequence[str], columns: Sequence[Coded | Column]) -> Iterator[Row]:
-    """Row by row, without what is not known."""
+    """Yield the rows, without values that are not known."""
     parts: dict[str, list[Any]] = {}
     for name, column in zip(header, columns, strict=True):
         if isinstance(column, Coded):
@@ -153,7 +153,7 @@ def _paths(values: Iterable[str]) -> list[Row]:
 
 
 def _column(names: Sequence[str]) -> Any:
-    """Panels of equal height, one above the other."""
+    """Layout of panels of equal height, one above the other."""
     if len(names) == 1:
         return names[0]
     return {"direction": "column", "first": names[0], "second": _column(names[1:]),

@@ -1,7 +1,7 @@
 """Smallest and largest values of a run over time, for pictures, in constant memory.
 
-A run of any length is kept as at most `MOST` stretches of equally many ticks, each with the
-smallest and the largest value of every column: a spike of one tick in an hour is still in the
+A run of any length is kept as at most `MOST` bins of equally many ticks. Each bin has the smallest
+and the largest value of every column, so that a spike of one tick in an hour is still in the
 picture.
 """
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MOST: Final = 1024
-"""A figure is less than 600 points wide, and there are never less than half as many."""
+"""Most bins; a long run has at least half as many, and a figure is less than 600 points wide."""
 CHUNK: Final = 512
-"""Ticks that are kept as they came until they are put together; divides `MOST`."""
+"""Number of ticks that are kept unchanged until they are merged; divides `MOST`."""
 COLUMNS: Final = (
     "load_nm", "low_nm", "high_nm", "loss_probability", "speed_rad_s", "adhesion", "thermal",
     "mixed_c", "maisd_k", "stator_c", "drive_end_c", "non_drive_end_c", "ambient_c",
 )  # fmt: skip
-"""Of a drive. low, high: the estimate's band of two sigma."""
+"""Columns of a drive. low, high: the band of two sigma of the load estimate."""
 OF_ALL: Final = ("bus_load_percent",)
 POINTS: Final = COLUMNS[-4:]
 RANK: Final = {Flag.GOOD: 1.0, Flag.UNKNOWN: 2.0, Flag.BAD: 3.0}
-"""Of a stretch with several flags the largest is shown: bad hides nothing that matters more."""
+"""Of a bin with several flags the largest rank is shown: no state matters more than bad."""
 _NAN: Final = float("nan")
 _RANKS: Final = np.array([RANK[flag] for flag in Flag])
 
 
 class Curve(NamedTuple):
-    """One column. t_s: begin of each stretch, (K,); low, high: (K,), NaN where nothing is known."""
+    """One column. t_s: begin of each bin, (K,); low, high: (K,), NaN if no value is known."""
 
     t_s: Array
     low: Array
@@ -46,17 +46,17 @@ class Curve(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether there is anything to draw."""
+        """Whether any value is known."""
         return bool(np.isfinite(self.low).any())
 
 
 class Envelope:
-    """Rows of (t_s, C columns), put together as they come. Memory: 2 x `most` rows, and a chunk."""
+    """Rows of (t_s, C columns), merged into bins as they come, in 2 x `most` rows and a chunk."""
 
     def __init__(self, columns: int, most: int = MOST) -> None:
         """most: a multiple of `CHUNK`."""
         self.width = 1
-        """Rows in a stretch."""
+        """Rows in a bin."""
         self.used = 0
         self._most = most
         self._columns = columns + 1
@@ -65,10 +65,10 @@ class Envelope:
         self._held: list[Array] = []
         self._rows = 0
         self._open = 0
-        """Chunks in the last stretch, where it takes several and is not full yet."""
+        """Chunks in the last bin, if a bin takes several and this one is not full yet; else 0."""
 
     def add(self, rows: Array) -> None:
-        """Take rows (K, 1 + C): seconds, then the columns; NaN where a value is not known."""
+        """Add rows (K, 1 + C): seconds, then the columns; NaN if a value is not known."""
         while len(rows):
             part, rows = np.split(rows, [CHUNK - self._rows])
             self._held.append(part)
@@ -77,7 +77,7 @@ class Envelope:
                 self._put()
 
     def curve(self, column: int) -> Curve:
-        """One column of what came so far, counted from 0 without the time."""
+        """One column of the rows so far; columns count from 0, without the time."""
         self._put()
         end = self.used
         t_s, k = self._low[:end, 0], column + 1
@@ -90,7 +90,7 @@ class Envelope:
         return self._high.item(self.used - 1, 0) if self.used else _NAN
 
     def _put(self) -> None:
-        """Put the chunk together with what is there."""
+        """Merge the held chunk into the bins."""
         if not self._rows:
             return
         rows = np.concatenate(self._held)
@@ -114,7 +114,7 @@ class Envelope:
         self._rows = 0
 
     def _halve(self) -> None:
-        """Two neighbours become one."""
+        """Merge every two neighbouring bins."""
         half = self.used // 2
         self._low[:half] = np.fmin(self._low[0 : 2 * half : 2], self._low[1 : 2 * half : 2])
         self._high[:half] = np.fmax(self._high[0 : 2 * half : 2], self._high[1 : 2 * half : 2])
@@ -126,7 +126,7 @@ class Trace:
     """All columns of all drives. Seconds count from the first tick."""
 
     def __init__(self, nodes: tuple[int, ...]) -> None:
-        """nodes: in the order in which a view has its drives."""
+        """nodes: in the order of the drives in the ticks."""
         self.nodes = nodes
         self.first_ns: int | None = None
         self.last_ns = 0
@@ -135,7 +135,7 @@ class Trace:
         self._loads = (float("inf"), float("-inf"), 0.0, 0)
 
     def add(self, ticks: Ticks) -> None:
-        """Take ticks."""
+        """Add ticks."""
         count, drives = len(ticks.t_ns), ticks.drives
         if self.first_ns is None:
             self.first_ns = ticks.t_ns.item(0)
@@ -162,25 +162,25 @@ class Trace:
 
     @property
     def width(self) -> int:
-        """Ticks in a stretch: 1 where nothing was put together."""
+        """Ticks in a bin: 1 if none were merged."""
         return self._envelope.width
 
     @property
     def span_s(self) -> float:
-        """From the first tick to the last."""
+        """Time from the first tick to the last."""
         return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) / 1e9
 
     @property
     def bus_load(self) -> tuple[float, float, float] | None:
-        """Least, mean and most, percent; None where no full second was measured."""
+        """Least, mean and largest bus load in percent; None if no full second was measured."""
         least, most, total, count = self._loads
         return (least, total / count, most) if count else None
 
     def of_all(self, column: str) -> Curve:
-        """One of `OF_ALL`."""
+        """The curve of a column of `OF_ALL`."""
         return self._envelope.curve(OF_ALL.index(column))
 
     def curve(self, node: int, column: str) -> Curve:
-        """One of `COLUMNS` of a drive."""
+        """The curve of a column of `COLUMNS` of a drive."""
         place = self.nodes.index(node) * len(COLUMNS)
         return self._envelope.curve(len(OF_ALL) + place + COLUMNS.index(column))

@@ -1,7 +1,7 @@
-"""Ground truth, where it is known: for pictures, and to score flags (`scoring`).
+"""Ground truth, if it is known: for pictures, and to score flags (`scoring`).
 
-The rows are those that `sim --truth` writes; they are put together as they come, so that an hour of
-them takes no more memory than a second.
+The rows are those that `sim --truth` writes. They are merged as they come, so that an hour of rows
+takes no more memory than a second.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ HEADER: Final = (
     "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
 )  # fmt: skip
 MORE: Final = ("cut", "creep", "train_speed_m_s")
-"""Columns that an older file does not have."""
+"""Columns that older files do not have."""
 _CLASSES: Final = {str(ill.value): ill.value for ill in FaultClass}
 SLIDES: Final = 0.06
-"""Creep of a wheel that slides: beyond the 5 % that a fast slip limiter allows."""
+"""Creep above which a wheel slides: more than the 5 % that a fast slip limiter allows."""
 _LONGEST: Final = 1000
-"""Bytes, of a row."""
+"""Most bytes of a row."""
 
 
 class Row(Protocol):
-    """The part of the simulator's truth that is needed here."""
+    """The fields of the simulator's truth that are used here."""
 
     @property
     def t_s(self) -> float:
@@ -46,7 +46,7 @@ class Row(Protocol):
 
     @property
     def speed_rad_s(self) -> float:
-        """Of the rotor."""
+        """Speed of the rotor."""
         ...
 
     @property
@@ -61,12 +61,12 @@ class Row(Protocol):
 
     @property
     def fault_class(self) -> int:
-        """The contract's number, 1 for none."""
+        """Number of the fault class in the contract, 1 for no fault."""
         ...
 
 
 class Event(NamedTuple):
-    """What was true of a drive from start until end; `flag`: the one that is to tell it.
+    """A true loss or fault of a drive from start to end; `flag`: the flag that must report it.
 
     cut: a loss in which the drive cut its own torque and its wheel never slid.
     """
@@ -80,37 +80,37 @@ class Event(NamedTuple):
 
 
 class _Drive:
-    """One drive's rows so far."""
+    """The rows of one drive so far."""
 
     def __init__(self) -> None:
         self.envelope = Envelope(2)
         self.rows: list[tuple[float, float, float]] = []
-        """That are not in it yet."""
+        """Rows that are not in the envelope yet."""
         self.last_s = 0.0
         self.before: tuple[int, int] | None = None
-        """`lost` and `fault_class` of the last row: mostly the same."""
+        """`lost` and `fault_class` of the last row; mostly the next row has the same."""
         self.running: dict[str, tuple[str, float]] = {}
         self.cut = self.slid = False
-        """In a loss that lasts."""
+        """State in the present loss: whether the drive cut its torque, and whether it slid."""
 
     def put(self) -> None:
-        """All rows into the envelope."""
+        """Move all rows into the envelope."""
         if self.rows:
             self.envelope.add(np.array(self.rows))
             self.rows.clear()
 
 
 class Truth:
-    """Loads, speeds and events of every drive that rows came of."""
+    """Loads, speeds and events of every drive with rows."""
 
     def __init__(self, offset_s: float = 0.0) -> None:
-        """offset_s: what is added to every row's time, to make it the report's."""
+        """offset_s: added to the time of every row, to convert it to that of the report."""
         self.events: list[Event] = []
         self.offset_s = offset_s
         self._drives: dict[int, _Drive] = {}
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Take rows, ascending in time for each drive."""
+        """Add rows, ascending in time for each drive."""
         for row in rows:
             drive = self._drives.get(row.drive)
             if drive is None:
@@ -143,7 +143,7 @@ class Truth:
             drive.running[flag] = kind, t_s
 
     def close(self) -> None:
-        """What is still true ends with the last row. In order of begin, drive."""
+        """End the open events with the last row, and sort all events by start and drive."""
         for node, drive in self._drives.items():
             for flag in list(drive.running):
                 self._follow(node, drive, flag, "", drive.last_s)
@@ -152,7 +152,7 @@ class Truth:
 
     @property
     def nodes(self) -> frozenset[int]:
-        """Drives of which anything is known."""
+        """Drives with rows."""
         return frozenset(self._drives)
 
     def load(self, node: int) -> Curve | None:
@@ -185,16 +185,16 @@ class _Text(NamedTuple):
 
 
 def check(path: Path) -> None:
-    """Whether it is a truth file at all, by its head: early. Raises ConfigError, OSError."""
+    """Check early, by its head, that a file is a truth file. Raises ConfigError, OSError."""
     next(rows(path), None)
 
 
 def read(path: Path, first_s: float, last_s: float) -> tuple[Truth, bool]:
-    """A truth file, its times made the report's, and whether it was on the log's clock.
+    """A truth file, with the times of the report, and whether it was on the log's clock.
 
-    first_s, last_s: of the log, on its own clock. A file that shares no time with the log was
-    recorded on another clock: its 0 is then taken for the log's first frame. Raises ConfigError
-    with the line that is not a row, OSError.
+    first_s, last_s: first and last time of the log, on its own clock. A file that does not overlap
+    with the log was recorded on another clock; its time 0 is then taken to be the log's first
+    frame. Raises OSError, and ConfigError with the line that is not a row.
     """
     begin, end = _range(path)
     same = begin <= last_s and first_s <= end
@@ -205,7 +205,7 @@ def read(path: Path, first_s: float, last_s: float) -> tuple[Truth, bool]:
 
 
 def _range(path: Path) -> tuple[float, float]:
-    """Times of the first row and, as they ascend, of the last."""
+    """Times of the first and last row, which are the least and greatest, because rows ascend."""
     first = next(rows(path), None)
     if first is None:
         raise ConfigError(str(path), ["no row of truth: was it written by `sim --truth`?"])
@@ -219,7 +219,7 @@ def _range(path: Path) -> tuple[float, float]:
 
 
 def rows(path: Path) -> Iterator[Row]:
-    """Those of a file, one after the other. Raises ConfigError with the line, OSError."""
+    """Yield the rows of a file. Raises OSError, and ConfigError with the line of a faulty row."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         lines = csv.reader(file)
         head = tuple(next(lines, ()))

@@ -29,9 +29,9 @@ COUNTS: Final = {
     "late": "the second frame of a sample came too late to be paired: not used",
     "left_out": "samples that the sender skipped without counting them: all later ones came later",
 }
-"""By the name of the counter."""
+"""Meaning of a counter by its name."""
 NOT_USED: Final = (*REJECTED, "error_frame", "remote", "lost", "unpaired", "late", "left_out")
-"""Those that say that something was wrong, in the order of the table."""
+"""Counters of frames that were not used because of a fault, in the order of the table."""
 REASONS: Final = {
     Reason.STARTING: "too little data yet, since the start of the gateway or of the rotor",
     Reason.STALE: "the newest data are older than their limit, or the drive is silent",
@@ -45,4 +45,4 @@ REASONS: Final = {
     Reason.INTRUDER: "another node sends with the gateway's identifiers",
     Reason.CONFIG: "the configuration lacks what this flag needs (such as a calibration)",
 }
-"""Why a flag says unknown."""
+"""Why a flag is unknown."""

@@ -1,1 +1,1 @@
-"""What the monitors show, without a screen."""
+"""The contents of the monitor's displays, independent of a screen."""

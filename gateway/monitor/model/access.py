@@ -1,8 +1,8 @@
-"""Who may look at the page and the metrics. Rules only: no socket, no clock of its own.
+"""Access rules for the page and the metrics. Rules only: no socket, no clock of its own.
 
-On loopback everybody on this machine may. Anywhere else only who shows the token. Against pages of
-others in the same browser: names by which nobody reaches this machine by right are refused (DNS
-rebinding), and so is whatever says that it comes from another page.
+On loopback everybody on this machine has access; anywhere else the token is needed. Two rules
+protect against foreign pages in the same browser: requests with a host name that is not of this
+machine are rejected (DNS rebinding), and so are requests whose Origin is another page.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gateway.settings.config import ConfigError
 
 LEAST_TOKEN: Final = 16
 LEAST_KINDS: Final = 6
-"""Different characters that a token has at least: nothing more is known of how it was made."""
+"""Least number of different characters of a token; nothing else shows how random it is."""
 WRONG_MOST: Final = 10
 WRONG_WINDOW_S: Final = 60.0
 ADDRESSES: Final = 1024
@@ -28,19 +28,19 @@ LOOPBACK_NAMES: Final = ("127.0.0.1", "localhost", "::1")
 
 
 class Listen(NamedTuple):
-    """Where to listen; host as `bind` takes it, without brackets."""
+    """Address to listen at; host as for `bind`, without brackets."""
 
     host: str
     port: int
 
     def __str__(self) -> str:
-        """As in an address line."""
+        """The address as in a URL."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{host}:{self.port}"
 
 
 def listen(text: str, default: Listen) -> Listen:
-    """HOST:PORT, HOST or PORT; the default's for what is left out. Raises ValueError."""
+    """Parse HOST:PORT, HOST or PORT; missing parts are those of `default`. Raises ValueError."""
     if text.isascii() and text.isdigit():
         host, port = default.host, text
     else:
@@ -58,7 +58,7 @@ def listen(text: str, default: Listen) -> Listen:
 
 
 def token_of(content: bytes, name: str) -> bytes:
-    """The token in a file, without what is white around it. Raises ConfigError."""
+    """The token in a file, without surrounding white space. Raises ConfigError."""
     token = content.strip()
     problems = []
     if len(token) < LEAST_TOKEN:
@@ -74,20 +74,20 @@ def token_of(content: bytes, name: str) -> bytes:
 
 
 class Wrong:
-    """Wrong tokens by address: after some of them nothing is compared for a while. Bounded."""
+    """Wrong tokens by address: after `WRONG_MOST` of them the address has to wait. Bounded."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start without wrong tokens."""
         self._by: OrderedDict[str, tuple[float, int]] = OrderedDict()
 
     def waits_s(self, address: str, now_s: float) -> float:
-        """How long this address has to wait; 0 if its token will be looked at."""
+        """Time that this address has to wait; 0 if its token will be checked."""
         begin, count = self._by.get(_who(address), (now_s, 0))
         left = begin + WRONG_WINDOW_S - now_s
         return left if count >= WRONG_MOST and left > 0 else 0.0
 
     def note(self, address: str, now_s: float) -> None:
-        """One more wrong token."""
+        """Count a wrong token."""
         who = _who(address)
         begin, count = self._by.pop(who, (now_s, 0))
         if now_s - begin >= WRONG_WINDOW_S:
@@ -98,7 +98,7 @@ class Wrong:
 
 
 def _who(address: str) -> str:
-    """Of IPv6 the network: a host has all of its addresses."""
+    """Key of an address: for IPv6 its /64 network, all of whose addresses a host may use."""
     try:
         parsed = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -109,7 +109,7 @@ def _who(address: str) -> str:
 
 
 class Refusal(NamedTuple):
-    """Why not, as HTTP says it. cause: a word to count by."""
+    """Rejection of a request, as an HTTP response. cause: name of the counter."""
 
     status: int
     cause: str
@@ -118,16 +118,16 @@ class Refusal(NamedTuple):
 
 
 class Access:
-    """The rules for one server. Keeps the token's digest, not the token."""
+    """The rules for one server. It keeps the digest of the token, not the token."""
 
     def __init__(self, token: bytes | None = None, names: Iterable[str] = ()) -> None:
-        """token: None lets everybody in who reaches the address. names: of hosts, besides loopback.
+        """token: None admits everybody who reaches the address. names: of hosts, besides loopback.
 
-        With a token any address in numbers counts as a name of this machine: DNS cannot lie about
-        those, and one bound to all addresses does not know which it is reached by.
+        With a token any numeric address counts as a name of this machine: DNS cannot fake numeric
+        addresses, and a server bound to all addresses does not know by which it is reached.
         """
         self._digest = None if token is None else hashlib.sha256(token).digest()
-        # Not the token: a cookie is sent to every port of this host, and this one ends with us.
+        # The cookie is not the token: it goes to every port of the host, and ends with the process.
         self._session = (
             "" if token is None
             else hmac.new(token, secrets.token_bytes(32), "sha256").hexdigest()
@@ -137,16 +137,16 @@ class Access:
 
     @property
     def wants_token(self) -> bool:
-        """Whether there is one."""
+        """Whether a token is needed."""
         return self._digest is not None
 
     @property
     def session(self) -> str:
-        """What the cookie of somebody holds who has shown the token."""
+        """Content of the cookie of a person who has given the token."""
         return self._session
 
     def page(self, headers: Mapping[str, str]) -> Refusal | None:
-        """None if the names in Host and Origin are ours. headers: names in lower case."""
+        """None if Host and Origin name this machine. headers: names in lower case."""
         host = headers.get("host", "")
         if not self._ours(host):
             cure = "use the address in numbers" if self.wants_token else "use 127.0.0.1"
@@ -159,10 +159,10 @@ class Access:
     def person(
         self, headers: Mapping[str, str], given: str | None, cookie: str, address: str, now_s: float
     ) -> Refusal | None:
-        """None if there is no token, or the right one.
+        """None if no token is needed, or the right one is given.
 
-        given: of the address line, if any; else the header's counts. cookie: what it holds. It
-        is looked at even when too many wrong tokens came from there: nobody guesses 256 bits.
+        given: token in the URL; if None, that of the header is used. cookie: its content. It is
+        checked even after too many wrong tokens from this address: nobody can guess 256 bits.
         """
         if self._digest is None:
             return None
@@ -198,7 +198,7 @@ class Access:
 
 
 def _name(host: str) -> str | None:
-    """The name in a Host header; None where there is anything but a name and a port."""
+    """The name in a Host header; None if it holds anything but a name and a port."""
     if not host or any(c in host for c in "/@?#\\ ,"):
         return None
     try:

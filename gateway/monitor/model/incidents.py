@@ -1,4 +1,4 @@
-"""Events worth reporting: changes, each once, the last 200 of them. Pure."""
+"""Events for the displays: each change once, the last 200 of them. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.monitor.model.snapshot import Event, GatewayRow, word
 
 KEPT: Final = 200
 OFTEN: Final = 4
-"""Times that one thing is told in a second: what flutters must not push everything else out."""
+"""Most events of one kind in a second: a fluttering state must not displace all other events."""
 NO_FLAGS: Final = "no flags of the gateway any more"
 MARK: Final = " (shadow)"
 INFO, WARNING, ERROR = "info", "warning", "error"
@@ -28,42 +28,42 @@ _LEVELS: Final[dict[type[IntEnum], dict[int, str]]] = {
     Reason: {Reason.INTRUDER: ERROR},
     GatewayState: {GatewayState.DEGRADED: WARNING, GatewayState.SILENT: ERROR},
 }
-"""By type first: members of different enumerations are equal numbers."""
+"""By type first, because members of different enumerations are equal as numbers."""
 _SET_FLAGS: Final = ("common_mode", "sensor_fault", "comm_fault", "estimator_fault", "overrun")
 
 
 def level_of(value: IntEnum) -> str:
-    """How grave a new state is."""
+    """Level of the event of a new state."""
     return _LEVELS.get(type(value), {}).get(value, INFO)
 
 
 class Happenings:
-    """Compares each moment with the one before and notes what is new."""
+    """Compares each state with the one before, and keeps the changes as events."""
 
     def __init__(self) -> None:
-        """Nothing has happened."""
+        """Start without events."""
         self.events: deque[Event] = deque(maxlen=KEPT)
         self._first_ns: Nanos = 0
         self._last: dict[tuple[str, int], object] = {}
         self._often: dict[tuple[str, int], list[int]] = {}
-        """Of each state: begin of a second, how often told in it, how often left out."""
+        """For each kind: begin of a second, number of events in it, number left out."""
 
     def begin(self, first_ns: Nanos) -> None:
-        """Time from here on is counted from this."""
+        """Set the time from which the times of events count."""
         self._first_ns = first_ns
 
     def note(self, t_ns: Nanos, level: str, drive: int | None, text: str) -> None:
-        """Something that is told each time it happens."""
+        """Add an event, without a limit of rate."""
         self.events.append(Event((t_ns - self._first_ns) / SECOND, level, drive, text))
 
     def changed(self, name: str, drive: int, value: object) -> bool:
-        """Whether this differs from the last that was given. Keys are few: names times drives."""
+        """Whether a value differs from the last one of this name and drive, of which few exist."""
         before = self._last.get((name, drive), self)
         self._last[name, drive] = value
         return before is not self and before != value
 
     def often(self, t_ns: Nanos, name: str, drive: int, level: str, text: str) -> None:
-        """What may happen many times a second: `OFTEN` are told, and how many were not."""
+        """Add an event of a frequent kind: at most `OFTEN` a second, with the number left out."""
         window = self._often.setdefault((name, drive), [t_ns, 0, 0])
         if t_ns - window[0] >= SECOND:
             window[:2] = t_ns, 0
@@ -77,15 +77,15 @@ class Happenings:
         self.note(t_ns, level, drive or None, text)
 
     def state(self, t_ns: Nanos, name: str, drive: int, value: IntEnum, mark: str = "") -> None:
-        """A flag or state of a drive (0: of the set); mark: behind the words."""
+        """Add an event if a flag or state of a drive (0: train) changed; mark: end of its text."""
         if self.changed(name, drive, value):
             text = f"{name.replace('_', ' ')} {word(name, value)}{mark}"
             self.often(t_ns, name, drive, level_of(value), text)
 
     def gateway(self, t_ns: Nanos, row: GatewayRow) -> None:
-        """The set's own flags and states.
+        """Add events for changed flags and states of the gateway and train.
 
-        What a gateway leaves unknown because it is heard no more is not told again flag by flag.
+        If the gateway's frames stop, this is one event; the flags then unknown give no others.
         """
         if self.changed("alive", 0, row.alive):
             text = "flags of the gateway are heard" if row.alive else NO_FLAGS
@@ -103,14 +103,14 @@ class Happenings:
             self.often(t_ns, "misses", 0, WARNING, f"ticks missed so far: {row.deadline_misses}")
 
     def heartbeat(self, t_ns: Nanos, node: int, drive: int | None, state: str | None) -> None:
-        """NMT state of a node, or Silent; drive: None for the gateway's own."""
+        """Add an event if the NMT state (or Silent) of a node changed; drive: None: the gateway."""
         if self.changed("heartbeat", node, state) and state is not None:
             level = ERROR if state == "Silent" else INFO
             what = "heartbeat lost" if state == "Silent" else f"heartbeat: {state}"
             self.often(t_ns, "heartbeat", drive or 0, level, what if drive else f"gateway {what}")
 
     def emergency(self, drive: int | None, seen: Emergency) -> None:
-        """One emergency message. Its code 0 says that all is well again."""
+        """Add an event for an emergency message. A code 0x00xx means that the error is over."""
         over = seen.code & 0xFF00 == 0
         text = "emergency over" if over else f"emergency {seen.code:04X}"
         text += "" if over else f", register {seen.register:02X}"
@@ -118,11 +118,11 @@ class Happenings:
         self.often(seen.t_ns, "emergency", drive or 0, INFO if over else ERROR, text)
 
     def drive_state(self, t_ns: Nanos, drive: int, state: str | None) -> None:
-        """`Drive_Status.State` by its name; None says nothing."""
+        """Add an event if `Drive_Status.State`, by name, changed; None is ignored."""
         if state is not None and self.changed("state", drive, state):
             level = ERROR if state == "Fault" else INFO
             self.often(t_ns, "state", drive, level, f"drive {state}")
 
     def link(self, t_ns: Nanos, state: str) -> None:
-        """State of the bus, where it has changed."""
+        """Add an event for a changed state of the bus."""
         self.often(t_ns, "link", 0, INFO if state == "active" else ERROR, f"bus {state}")

@@ -1,8 +1,8 @@
-"""A snapshot as Prometheus metrics. Pure: an unknown value has no sample, and never NaN.
+"""A snapshot as Prometheus metrics. Pure. An unknown value has no sample, not a NaN.
 
-Names and units as <https://prometheus.io/docs/practices/naming/> wants them: base units, in the
-name. A flag is 0 unknown, 1 good, 2 bad, as on the bus; a state is a sample for each that there
-is, named by a label, of which one is 1; all are 0 while it is not known.
+Names and units follow <https://prometheus.io/docs/practices/naming/>: base units, in the name. A
+flag is 0 unknown, 1 good, 2 bad, as on the bus. A state has a sample for each possible state, named
+by a label: the present state is 1, the others are 0; all are 0 while it is not known.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ LINK_STATES: Final = ("active", "warning", "passive", "bus-off", "absent", "down
 LEVELS: Final = ("info", "warning", "error")
 US: Final = 1e-6
 Samples = Iterable[tuple[tuple[str, ...], float | None]]
-"""Values of the labels, and a number; None: no sample."""
+"""Label values and a number for each sample; a number of None gives no sample."""
 
 
 class FeedCollector(Collector):
-    """The newest picture of a feed, whenever Prometheus asks; nothing before the first."""
+    """The newest picture of a feed, at each scrape; without metrics of it before the first."""
 
     def __init__(self, feed: Feed) -> None:
-        """feed: is only read."""
+        """feed: only read, never changed."""
         self._feed = feed
 
     def collect(self) -> Iterable[Metric]:
-        """All metrics."""
+        """Yield all metrics."""
         feed = self._feed
         if feed.picture is not None:
             yield from of_snapshot(feed.picture.shown)
@@ -78,7 +78,7 @@ class FeedCollector(Collector):
 
 
 def of_snapshot(shown: Snapshot) -> Iterator[Metric]:
-    """Everything that a snapshot says."""
+    """Yield all metrics of a snapshot."""
     yield from _of_gateway(shown.gateway)
     yield from _of_drives(shown.drives)
     yield from _of_link(shown.link)
@@ -112,7 +112,7 @@ def _of_gateway(row: GatewayRow) -> Iterator[Metric]:
         ("rejected_frames", "Frames rejected", row.rejected),
         ("lost_frames", "Frames lost", row.lost_frames),
     ):
-        # A saturated counter that starts again looks to Prometheus like any restart.
+        # To Prometheus a saturated counter that starts again is like any restart.
         yield _counter(name, f"{text}, the gateway's word; stays at 4094", [((), count)])
 
 
@@ -163,7 +163,7 @@ def _of_link(row: LinkRow) -> Iterator[Metric]:
 
 
 def _histogram(late: Lateness) -> Metric:
-    """Cumulative, by upper edge. Without a sum: what is in a bin is not known more closely."""
+    """Cumulative histogram by upper edge, without a sum: values inside a bin are not known."""
     buckets, below = [], 0
     for edge_us, count in zip(late.edges_us[1:], late.counts, strict=True):
         below += count
@@ -187,7 +187,7 @@ def _gauge(name: str, text: str, samples: Samples, labels: tuple[str, ...] = ())
 
 
 def _counter(name: str, text: str, samples: Samples, labels: tuple[str, ...] = ()) -> Metric:
-    """`_total` is added to its name."""
+    """A counter; the client adds `_total` to its name."""
     family = CounterMetricFamily(PREFIX + name, text, labels=labels)
     for values, number in samples:
         if number is not None:
@@ -202,7 +202,7 @@ def _state(
     current: Iterable[tuple[tuple[str, ...], str | None]],
     labels: tuple[str, ...] = (),
 ) -> Metric:
-    """A sample for each state; the label that names it is the metric's last word, or two."""
+    """A sample for each state; its label is the metric's name without `drive_` and `link_`."""
     label = name.removeprefix("drive_").removeprefix("link_")
     numbers: Samples = [
         ((*values, state), int(state == now)) for values, now in current for state in every

@@ -1,11 +1,11 @@
-"""The observer: frames of all nodes in, a snapshot for the displays out. Pure, bounded.
+"""The observer: from the frames of all nodes to a snapshot for the displays. Pure, bounded.
 
-It hears the bus as any other node does, through the same codec and the same E2E rules, and sends
-nothing. What happens between two calls is decided on a grid of its own, one step per period from
-the first frame on, so that how the frames are cut into calls changes nothing.
+It receives the bus as any other node does, with the same codec and the same E2E rules, and sends
+nothing. It works on its own time grid, one step per period from the first frame on, so that the
+result does not depend on how the frames are divided between calls.
 
-Beside it runs a shadow, a `Gateway` over the same frames: what is not on the bus, the
-load torque's uncertainty, is taken from there, as long as it agrees with the bus.
+A shadow, a `Gateway` on the same frames, runs beside it. The uncertainty of the load torque, which
+is not on the bus, is the shadow's, as long as the shadow agrees with the bus.
 """
 
 from __future__ import annotations
@@ -45,27 +45,27 @@ from gateway.settings.config import Config
 
 GATEWAY_NODE: Final = 32
 QUIET_NS: Final[Nanos] = 10 * SECOND
-"""So long after the last frame nothing is left that time could change."""
+"""Time after the last frame, after which no state changes any more."""
 MOST_HELD: Final = 20_000
-"""Frames of one period that wait for its end. No bus carries more; a log with odd stamps may."""
+"""Most frames that wait for the end of a period; only a log with odd stamps has more in one."""
 AGREES: Final = 5
-"""Ticks back in which the shadow may have said what the bus says now: an estimate is sent every
-20 ms."""
+"""Past ticks in which the shadow's estimate may agree with the present one on the bus, which is
+sent every 20 ms."""
 TRACED: Final = ("adhesion", "thermal", "health")
 SECOND_SENDERS: Final = ("repeated", "wrong_sequence")
 SIGMAS: Final = 0.5
-"""By how much of its own uncertainty the shadow's load may differ from the bus."""
+"""Largest difference of the shadow's load from that on the bus, as share of its uncertainty."""
 STEP_NM: Final = 0.1
-"""Of `LoadTorque` on the bus."""
+"""Resolution of `LoadTorque` on the bus."""
 
 
 class Observer:
-    """All state of a monitor. `take` is the only mutator; memory is bounded whatever comes."""
+    """All state of a monitor. Frames enter by `add_frames` only; memory is always bounded."""
 
     def __init__(self, codec: Codec, config: Config, *, show_shadow: bool = False) -> None:
-        """Raises ConfigError where configuration, calibration and DBC do not fit.
+        """Raises ConfigError if configuration, calibration and DBC do not fit together.
 
-        show_shadow: where no gateway is heard, show the shadow's flags and estimates, as such.
+        show_shadow: without a gateway on the bus, show flags and estimates of the shadow, marked.
         """
         self.codec = codec
         self.config = config
@@ -89,12 +89,12 @@ class Observer:
         self._recent = Recent(config.nodes)
         self._schedule = Schedule(codec.by_name["Gateway_Adhesion"].cycle_ns)
         self.counts: Counter[str] = Counter()
-        """Frames by cause: believed, canopen, unknown_id, and why others were not used."""
+        """Frames by cause: believed (accepted), canopen, unknown_id, and reasons of rejection."""
         self._received = self._window = 0
         self._frames_s: float | None = None
         self._bus_state = self._last_bus_state = BusState.ACTIVE
         self._doubled: set[str] = set()
-        """Messages that two send."""
+        """Names of messages that two nodes send."""
         self._hash: str | None = None
         self._load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, 0)
         self._window_ns: Nanos = 0
@@ -102,7 +102,7 @@ class Observer:
         self._now: Nanos = 0
         self._received_ns: Nanos = 0
         self._held = EMPTY
-        # Made at once, because it checks the configuration; used from the first frame on.
+        # Made here, because it checks the configuration; replaced at the first frame.
         self._shadow = Gateway(config, codec, 0)
         self._own_hash = f"{self._shadow.outbox.config_hash:06x}"
         self._estimates: dict[int, deque[tuple[Health, float, float]]] = {
@@ -110,7 +110,7 @@ class Observer:
         }
 
     def add_frames(self, frames: Iterable[Frame] | Block, now: Nanos) -> None:
-        """Frames received until `now`, in any cut. Never raises on wire data."""
+        """Process frames received until `now`, in calls of any size. Never raises on wire data."""
         block = frames if isinstance(frames, Block) else block_of(frames)
         good = (block.t_ns >= 0) & (block.t_ns <= now)
         if not good.all():
@@ -131,7 +131,7 @@ class Observer:
                 break
             end = bisect_right(stamps, following, done)
             if end == done and following - self._received_ns > self._quiet_ns:
-                # Nothing can change before the next frame.
+                # No state can change before the next frame.
                 until = min(now, stamps[done] if done < len(stamps) else now)
                 self._now += max((until - self._now) // self._period_ns, 1) * self._period_ns
                 if self._now < until:
@@ -148,16 +148,16 @@ class Observer:
         self._held = held.part(done, kept) if done < kept else EMPTY
 
     def copy(self) -> Observer:
-        """The same state once more; codec and configuration, which never change, are shared."""
+        """A copy of the state; codec and configuration, which never change, are shared."""
         shared = (self.codec, self.config, self.codec.messages, *self.codec.messages)
         return deepcopy(self, {id(item): item for item in shared})
 
     def note_dropped(self, frames: int) -> None:
-        """So many frames of a log were left out because their time goes back."""
+        """Count frames of a log that were dropped because their time goes back."""
         self.counts["time_back"] += frames
 
     def snapshot(self, now: Nanos) -> Snapshot:
-        """The moment `now`, or rather the last step of the grid before it."""
+        """The state at the last step of the grid up to `now`."""
         self.add_frames(EMPTY, now)
         at = self._now
         gateway, drives = self._rows(at)
@@ -214,7 +214,7 @@ class Observer:
         self._note(now)
 
     def _other(self, frame: Frame) -> None:
-        """Heartbeats, emergencies, error frames, and what is nobody's."""
+        """Process heartbeats, emergencies, error frames, and frames that no message claims."""
         if frame.flags & ERROR:
             self.counts["error_frame"] += 1
             self._bus_state = bus_state(frame, self._bus_state)
@@ -230,7 +230,7 @@ class Observer:
                 self._happenings.emergency(None if node == GATEWAY_NODE else node, log.recent[-1])
 
     def _note(self, now: Nanos) -> None:
-        """End of a step: what has changed, and a point for the traces now and then."""
+        """End a step: add events for changes, and every `POINT_NS` a point to the traces."""
         happenings, view = self._happenings, self._shadow.view
         if view is not None:
             for d in view.drives:
@@ -274,7 +274,7 @@ class Observer:
             self._recent.add((now - self.first_ns) / SECOND, self._rows(now)[1])
 
     def _instead(self, gateway: GatewayRow) -> GatewayView | None:
-        """The shadow's view where that is what is to be shown."""
+        """The shadow's view if it is shown in place of a gateway, else None."""
         return self._shadow.view if self._show_shadow and not gateway.alive else None
 
     def _rows(self, now: Nanos) -> tuple[GatewayRow, tuple[DriveRow, ...]]:
@@ -304,9 +304,9 @@ class Observer:
         return gateway, tuple(rows)
 
     def _sigma(self, row: DriveRow) -> float | None:
-        """The shadow's uncertainty, if it has said of late what the bus says now.
+        """The shadow's uncertainty, if one of its latest estimates agrees with that on the bus.
 
-        Never under another configuration: by chance it would agree now and then.
+        None if the gateway has another configuration: then they would agree only by chance.
         """
         if row.load_nm is None or self._hash not in (None, self._own_hash):
             return None

@@ -1,6 +1,6 @@
 """Each panel of the terminal view as text, drawn from a snapshot alone. Pure.
 
-No panel tells anything by colour alone: good has a tick, bad a cross, unknown a question mark.
+No panel shows anything by colour alone: good has a tick, bad a cross, unknown a question mark.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ _SET: Final = (
     ("estimator_fault", "estimators"), ("overrun", "cycle"),
 )  # fmt: skip
 WIDE: Final = 118
-"""Characters from which on the table has all columns."""
+"""Width in characters from which the table has all columns."""
 
 
 def flag_text(name: str, flag: Flag) -> Text:
-    """A flag with its sign; name: the field's."""
+    """A flag with its sign; name: name of the field."""
     sign, style = _FLAG[flag]
     bold = "bold " if flag is Flag.BAD else ""
     return Text(f"{sign}{word(name, flag)}", style=bold + style)
 
 
 def number(value: float | None, digits: int = 1, unit: str = "") -> str:
-    """A number, or a question mark."""
+    """A number as text, or a question mark for None."""
     if value is None:
         return "?"
     return f"{value:.{digits}f}{' ' + unit if unit else ''}"
@@ -51,14 +51,14 @@ def load_text(row: DriveRow) -> str:
 
 
 def thermal(row: DriveRow) -> Text:
-    """The thermal flag; of a fault its class."""
+    """The thermal flag; the fault class if it is bad."""
     if row.thermal is Flag.BAD and row.fault_class not in _FAULTY:
         return Text(f"✗{word('', row.fault_class)}", style=f"bold {VERMILION}")
     return flag_text("thermal", row.thermal)
 
 
 def age(seconds: float | None) -> str:
-    """How long ago, in the unit that fits."""
+    """An age as text in ms or s; `never` for None."""
     if seconds is None:
         return "never"
     return f"{seconds * 1e3:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
@@ -80,7 +80,7 @@ def _cells(width: int) -> _Cells:
 
 
 def heading(width: int) -> Text:
-    """The names of the table's columns. width: characters there are."""
+    """The names of the table's columns. width: of the table in characters."""
     text = Text(no_wrap=True)
     for head, size, side in _cells(width):
         text.append(_cell(Text(head), size, side))
@@ -109,7 +109,7 @@ def drive_table(shown: Snapshot, selected: int, width: int) -> Text:
         drawn = Text("\n" if text else "")
         for value, (_, size, side) in zip(line, cells, strict=True):
             drawn.append(_cell(value, size, side))
-        drawn.right_crop()  # room for the scroll bar
+        drawn.right_crop()  # the last column is for the scroll bar
         if row.node == selected:
             drawn.stylize("bold")
         text.append(drawn)
@@ -117,7 +117,7 @@ def drive_table(shown: Snapshot, selected: int, width: int) -> Text:
 
 
 def _cell(value: Text, size: int, side: str) -> Text:
-    """Cut or filled to its width; a space follows what is flush right."""
+    """A value cut or padded to `size` - 1 characters, and a space."""
     value = value.copy()
     space = size - 1
     if len(value) > space:
@@ -128,7 +128,7 @@ def _cell(value: Text, size: int, side: str) -> Text:
 
 
 def detail(shown: Snapshot, selected: int) -> Text:
-    """What the table has no room for, of the selected drive."""
+    """The values of the selected drive that do not fit in the table."""
     row = next((r for r in shown.drives if r.node == selected), shown.drives[0])
     text = Text(no_wrap=True)
     text.append(f"drive {row.node} ", style=f"bold {SKY}")
@@ -146,7 +146,7 @@ def detail(shown: Snapshot, selected: int) -> Text:
 
 
 def gateway(shown: Snapshot) -> Text:
-    """The gateway by its own word, and the flags of the set."""
+    """The state that the gateway reports of itself, and the flags of the train."""
     row = shown.gateway
     text = Text(no_wrap=True)
     text.append("GATEWAY ", style=f"bold {SKY}")
@@ -174,7 +174,7 @@ def gateway(shown: Snapshot) -> Text:
 
 
 def link(shown: Snapshot) -> Text:
-    """The bus as it is found here, and the gateway's counters."""
+    """The state of the bus as seen by the monitor, and the gateway's counters."""
     row, status = shown.link, shown.gateway
     text = Text(no_wrap=True)
     text.append("BUS ", style=f"bold {SKY}")
@@ -194,7 +194,7 @@ def link(shown: Snapshot) -> Text:
 
 
 def lateness(late: Lateness, size: tuple[int, int]) -> Text:
-    """Histogram of how far behind their schedule flag frames came. size: characters, lines."""
+    """Histogram of the lateness of flag frames. size: width in characters, height in lines."""
     width, height = size
     text = Text(no_wrap=True)
     text.append("FLAGS LATE BY", style=f"bold {SKY}")
@@ -203,7 +203,7 @@ def lateness(late: Lateness, size: tuple[int, int]) -> Text:
     text.append(f"  p99 {_short(late.p99_us or 0)}", style="")
     rows = list(zip(late.edges_us[1:], late.counts, strict=True))
     space = max(height - 1, 1)
-    if len(rows) > space:  # the lowest go together: what matters is the tail
+    if len(rows) > space:  # merge the lowest bins: the tail matters
         over = len(rows) - space
         rows = [(rows[over][0], sum(n for _, n in rows[: over + 1])), *rows[over + 1 :]]
     most = max(n for _, n in rows)
@@ -216,7 +216,7 @@ def lateness(late: Lateness, size: tuple[int, int]) -> Text:
 
 
 def _short(us: float) -> str:
-    """A time in microseconds in few characters."""
+    """A time, given in microseconds, as a short text."""
     return f"{us:.0f} us" if us < 1000 else f"{us / 1000:.3g} ms"
 
 
@@ -225,7 +225,7 @@ def _count(n: int) -> str:
 
 
 def events(shown: tuple[Event, ...], lines: int) -> Text:
-    """The newest at the bottom. lines: how many there is room for."""
+    """The last events, the newest at the bottom. lines: height of the panel."""
     text = Text(no_wrap=True)
     kept = shown[-lines:] if lines > 0 else ()
     if not kept:

@@ -1,7 +1,7 @@
-"""Small plots out of characters: a curve with its band, bars, a strip of states. Pure.
+"""Small plots made of characters: a curve with its band, bars, a strip of states. Pure.
 
-plotext draws a curve, of braille dots, and its band, a shade; gaps stay gaps. Colour only repeats
-what the characters say.
+plotext draws a curve in braille dots, and its band as a shade; gaps stay gaps. Colour only repeats
+what the characters show.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from textual_plotext import Plot
 from gateway.core.codes import Flag
 from gateway.monitor.model.snapshot import Trace
 
-# Okabe and Ito: told apart with any kind of colour vision, also in grey.
+# Colours of Okabe and Ito: distinct for any kind of colour vision, also in grey.
 GREEN, VERMILION, ORANGE = "#009E73", "#D55E00", "#E69F00"
 SKY, GREY, YELLOW = "#56B4E9", "#9A9A9A", "#F0E442"
 
@@ -26,14 +26,14 @@ _SHADE: Final = "░"
 GAP: Final = "·"
 _STATE: Final = {Flag.UNKNOWN: ("?", GREY), Flag.GOOD: ("─", GREEN), Flag.BAD: ("█", VERMILION)}
 SCALE: Final = 7
-"""Characters left of a curve."""
+"""Width in characters of the scale to the left of a curve."""
 Column = list[float]
 
 
 def columns(
     t_s: Sequence[float], values: Sequence[float | None], start: float, end: float, count: int
 ) -> list[Column]:
-    """Values by time in `count` equal bins from start to end; the unknown are left out."""
+    """Values in `count` equal bins of time from start to end; unknown values are left out."""
     bins: list[Column] = [[] for _ in range(count)]
     scale = count / max(end - start, 1e-9)
     for t, value in zip(t_s, values, strict=True):
@@ -52,9 +52,9 @@ def limits(values: Sequence[float], least: float) -> tuple[float, float]:
 
 
 def curve(plot: Plot, trace: Trace, span: tuple[float, float], least: float = 5.0) -> None:
-    """Draw the load with a shade of two sigma around it, Nm; gaps stay gaps.
+    """Draw the load in Nm with a shade of two sigma around it; gaps stay gaps.
 
-    span: from, to in seconds; least: the axis is at least so long, Nm.
+    span: begin and end in seconds; least: least range of the axis in Nm.
     """
     plot.clear_figure()
     plot.xaxes(False, False)
@@ -83,9 +83,9 @@ def curve(plot: Plot, trace: Trace, span: tuple[float, float], least: float = 5.
 
 
 def bars(bins: Sequence[Column], grave: float) -> Text:
-    """A line of bars 0 .. 1, the highest of each bin; a dot where nothing is known.
+    """A line of bars 0 .. 1, the highest value of each bin; a dot if no value is known.
 
-    grave: from here on in the colour of what is bad.
+    grave: value from which a bar has the colour of bad.
     """
     text = Text(no_wrap=True)
     for column in bins:
@@ -101,7 +101,7 @@ def bars(bins: Sequence[Column], grave: float) -> Text:
 def strip(
     t_s: Sequence[float], states: Sequence[Flag], span: tuple[float, float], width: int
 ) -> Text:
-    """A line of states, the gravest of each bin: lost, unknown, adhering."""
+    """A line of states, the worst of each bin: lost before unknown before adhering."""
     grave = {Flag.BAD: 2.0, Flag.UNKNOWN: 1.0, Flag.GOOD: 0.0}
     back = {rank: flag for flag, rank in grave.items()}
     text = Text(no_wrap=True)
@@ -112,7 +112,7 @@ def strip(
 
 
 def bar(share: float, width: int) -> str:
-    """A horizontal bar; anything above nothing is seen."""
+    """A horizontal bar; a share above 0 is always visible."""
     eighths = min(max(round(share * width * 8), 1 if share > 0 else 0), width * 8)
     full, part = divmod(eighths, 8)
     return "█" * full + (" ▏▎▍▌▋▊▉"[part] if part else "")

@@ -1,6 +1,6 @@
-"""From the last accepted value of each message to the rows of the display. Pure.
+"""Rows of the display from the last accepted values of each message. Pure.
 
-Whatever is too old, not valid or contradictory is None or unknown here, never its last value.
+A value that is too old, not valid or contradictory is None or unknown, not the last good value.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ DETECTORS: Final = {
     1: "VariationalBayes", 2: "VariationalMessagePassing", 3: "KMeans", 4: "Median",
     5: "Switching",
 }  # fmt: skip
-"""For a shadow, which has a number only; of frames the DBC's labels are taken."""
+"""Names for a shadow, which has only numbers; for frames the labels of the DBC are used."""
 
 
 def heartbeat(state: NodeState | None) -> str | None:
-    """NMT state by name; Silent once it has stopped; None if never heard."""
+    """NMT state by name; Silent if the heartbeat has stopped; None if it was never received."""
     if state is None or state.life is Life.NEVER_SEEN:
         return None
     return SILENT if state.life is Life.LOST else NMT.get(state.nmt_state, SILENT)
 
 
 def flag(seen: Seen, name: str) -> Flag:
-    """An antivalent state: anything but 1 and 2 is unknown."""
+    """Flag from two antivalent bits: any value other than 1 and 2 is unknown."""
     return _FLAGS.get(seen.raw(name), Flag.UNKNOWN)
 
 
 def chosen(kind: type[Enum], raw: int | None) -> Enum | None:
-    """A member by its number; None where there is no such one."""
+    """Member of an enumeration by its number; None if there is no such member."""
     try:
         return None if raw is None else kind(raw)
     except ValueError:
@@ -55,7 +55,7 @@ def _whole(seen: Seen, name: str) -> int | None:
 
 
 def gateway_row(tracks: Tracks, now: Nanos) -> GatewayRow:
-    """The gateway by its own frames."""
+    """The row of the gateway, from its own frames."""
     four = [tracks[f"Gateway_{name}"] for name in ("Adhesion", "Faults", "Info", "Status")]
     adhesion, faults, info, status = [track.seen(now) for track in four]
     good_ns = four[0].good_ns
@@ -87,7 +87,7 @@ def gateway_row(tracks: Tracks, now: Nanos) -> GatewayRow:
 
 
 def flag_values(tracks: Tracks, node: int, now: Nanos) -> tuple[Flag, Flag, Health]:
-    """Of one drive, what the gateway decides: adhesion, thermal, health."""
+    """Adhesion and thermal flag and health of one drive, from the gateway's frames."""
     estimate = tracks[f"Drive{node}_Estimate"].seen(now)
     return (
         flag(tracks["Gateway_Adhesion"].seen(now), f"Adhesion{node}"),
@@ -97,7 +97,7 @@ def flag_values(tracks: Tracks, node: int, now: Nanos) -> tuple[Flag, Flag, Heal
 
 
 def drive_row(tracks: Tracks, node: int, now: Nanos) -> DriveRow:
-    """One drive by the frames about it and from it; heartbeat and shadow are added elsewhere."""
+    """The row of a drive, from frames about and by it; without heartbeat and shadow values."""
     estimate = tracks[f"Drive{node}_Estimate"].seen(now)
     thermal = tracks[f"Drive{node}_Thermal"].seen(now)
     adhesion, heat, health = flag_values(tracks, node, now)
@@ -122,7 +122,7 @@ def drive_row(tracks: Tracks, node: int, now: Nanos) -> DriveRow:
 
 
 def _with_own_word(row: DriveRow, tracks: Tracks, now: Nanos) -> DriveRow:
-    """What the drive says itself, where it says so and means it."""
+    """The row with the drive's own values, as far as the drive marks them as usable."""
     motion, points, status = (
         _own(tracks, f"Drive{row.node}_{kind}", now)
         for kind in ("Motion", "Temperatures", "Status")
@@ -139,14 +139,14 @@ def _with_own_word(row: DriveRow, tracks: Tracks, now: Nanos) -> DriveRow:
 
 
 def _own(tracks: Tracks, name: str, now: Nanos) -> Seen:
-    """What a drive says, unless it says itself that it cannot be used; a DBC may lack it."""
+    """Values of a drive's own message; none if it marks them unusable or the DBC lacks it."""
     track = tracks.get(name)
     seen = NOTHING if track is None else track.seen(now)
     return seen if seen.usable else NOTHING
 
 
 def shadow_gateway(row: GatewayRow, view: GatewayView) -> GatewayRow:
-    """The set by a shadow's view, for a bus without a gateway."""
+    """The row of the gateway with values of a shadow, for a bus without a gateway."""
     return row._replace(
         source="shadow", state=view.state, reason=view.adhesion_reason,
         thermal_reason=view.faults_reason, detector=DETECTORS.get(view.detector),
@@ -157,7 +157,7 @@ def shadow_gateway(row: GatewayRow, view: GatewayView) -> GatewayRow:
 
 
 def shadow_drive(row: DriveRow, view: DriveView) -> DriveRow:
-    """A drive by a shadow's view."""
+    """The row of a drive with values of a shadow."""
     return row._replace(
         adhesion=view.adhesion, thermal=view.thermal, health=view.health,
         speed_rad_s=view.speed_rad_s, load_nm=view.load_nm, load_sigma_nm=view.load_sigma_nm,

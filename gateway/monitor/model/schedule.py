@@ -1,4 +1,4 @@
-"""Lateness of a cyclic message, measured without its sender's clock. Pure."""
+"""Lateness of a cyclic message, measured without the sender's clock. Pure."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from gateway.io.realtime import Histogram
 from gateway.monitor.model.snapshot import Lateness
 
 DRIFT: Final = 100e-6
-"""Most by which the clocks of sender and monitor may differ."""
+"""Largest relative drift between the clocks of sender and monitor."""
 COUNTERS: Final = 16
 ANEW_NS: Final[Nanos] = SECOND // 10
-"""So long without a frame, or so far off: the schedule is looked for anew."""
+"""After this time without a frame, or with a larger lateness, the grid is found anew."""
 
 
 class Schedule:
-    """The grid on which frames are sent, found from the earliest of them.
+    """The time grid on which frames are sent, found from the earliest of them.
 
-    No frame comes before it is due, so the earliest ones lie on the grid; it follows later ones no
-    faster than two clocks can drift apart. A delay that never changes cannot be seen this way.
+    No frame comes before it is due, so the earliest ones lie on the grid. The grid follows later
+    frames no faster than two clocks can drift apart. A constant delay is not visible.
     """
 
     def __init__(self, period_ns: Nanos) -> None:
-        """period_ns: of the message; 0 counts nothing."""
+        """period_ns: of the message; with 0 no frame is counted."""
         self._period_ns = period_ns
         self._due_ns: Nanos | None = None
         self._counter = 0
         self._last_ns: Nanos = 0
         self.histogram = Histogram()
-        """Microseconds."""
+        """Lateness in microseconds."""
 
     def add(self, t_ns: Nanos, counter: int) -> None:
-        """A believed frame. counter: its protection counter, modulo 16."""
+        """Add an accepted frame. counter: its E2E counter, modulo 16."""
         period = self._period_ns
         if period <= 0:
             return
@@ -48,7 +48,7 @@ class Schedule:
         if late < 0 or late > ANEW_NS:
             due = t_ns
         self._due_ns = due
-        # The allowance for drift is not lateness of the frame, and is far below a bucket.
+        # The allowance for drift is no lateness, and is far smaller than a bucket.
         self.histogram.add(max(late, 0) // 1000)
 
     def lateness(self) -> Lateness:

@@ -1,7 +1,7 @@
-"""What a monitor shows at one moment. None means not known; nothing here is ever NaN.
+"""All data that a monitor shows at one time. None means not known; no value is ever NaN.
 
-Every form of the monitor (terminal, page, metrics) draws from these and from nothing else.
-Times are seconds since the first frame that was seen.
+Every form of the monitor (terminal, page, metrics) shows these data and no others.
+Times are seconds since the first received frame.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ COMMON: Final = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NotDetected", Flag.BAD: "A
 
 
 class DriveRow(NamedTuple):
-    """One drive: what the gateway says of it, and what it says itself.
+    """One drive: values that the gateway sends about it, and values that it sends itself.
 
-    Everything is as last believed; what is older than its limit is unknown.
+    All are the last accepted ones; a value older than its limit is unknown.
     """
 
     node: int
@@ -28,12 +28,12 @@ class DriveRow(NamedTuple):
     thermal: Flag = Flag.UNKNOWN
     health: Health = Health.UNKNOWN
     speed_rad_s: float | None = None
-    """The gateway's estimate."""
+    """Estimate of the gateway."""
     measured_speed_rad_s: float | None = None
-    """The drive's own word."""
+    """Measured by the drive itself."""
     load_nm: float | None = None
     load_sigma_nm: float | None = None
-    """Not on the bus: of a gateway run beside it, where that one agrees."""
+    """Not on the bus: from the shadow, if its load agrees with that on the bus."""
     loss_probability: float | None = None
     """0 .. 1."""
     nis: float | None = None
@@ -50,32 +50,32 @@ class DriveRow(NamedTuple):
     state: str | None = None
     """`Drive_Status.State` by its name in the DBC: Off, Ready, Operation, Fault."""
     heartbeat: str | None = None
-    """BootUp, Stopped, Operational, PreOperational; Silent: was heard and has stopped; None:
-    never heard."""
+    """BootUp, Stopped, Operational, PreOperational; Silent: received before, but has stopped;
+    None: never received."""
     rejected: int = 0
-    """Frames with its identifiers that failed checksum, counter, length or format."""
+    """Frames with the drive's identifiers and a wrong checksum, counter, length or format."""
     age_s: float | None = None
-    """Since its last good frame."""
+    """Time since the drive's last good frame."""
 
 
 class GatewayRow(NamedTuple):
-    """The gateway itself and the flags of the whole set."""
+    """The gateway itself and the flags of the train."""
 
     alive: bool = False
-    """Flags newer than 100 ms were heard."""
+    """Whether a flag frame not older than 100 ms was received."""
     present: bool = False
-    """Any believed frame of a gateway since the start: without it there is none on this bus."""
+    """Whether any frame of a gateway was accepted since the start; if not, the bus has none."""
     source: str = "none"
-    """Whose flags and estimates the rows have: `bus`, `shadow` (a gateway that runs in the monitor
-    and is told as such), `none`."""
+    """Origin of the flags and estimates in the rows: `bus`, `shadow` (a gateway that runs in the
+    monitor, and is marked as such), `none`."""
     state: GatewayState | None = None
     reason: Reason | None = None
-    """Of the adhesion flags."""
+    """Reason of the adhesion flags."""
     thermal_reason: Reason | None = None
     age_ms: float | None = None
-    """Oldest sample that the adhesion flags rest on, by the gateway's own word."""
+    """Age of the oldest sample used for the adhesion flags, as the gateway sends it."""
     flags_age_ms: float | None = None
-    """Since the last believed flag frame."""
+    """Time since the last accepted flag frame."""
     detector: str | None = None
     common_mode: Flag = Flag.UNKNOWN
     sensor_fault: Flag = Flag.UNKNOWN
@@ -91,17 +91,17 @@ class GatewayRow(NamedTuple):
     latency_p99_us: float | None = None
     lateness_p99_us: float | None = None
     heartbeat: str | None = None
-    """As of a drive."""
+    """As in `DriveRow`."""
     authenticated: bool | None = None
-    """None: nobody checked."""
+    """None: not checked."""
 
 
 class LinkRow(NamedTuple):
-    """The bus as the monitor finds it."""
+    """The state of the bus as seen by the monitor."""
 
     state: str = "active"
-    """As error frames tell it: `active`, `warning`, `passive`, `bus-off`; `absent`, `down`: no
-    interface to listen to."""
+    """From error frames: `active`, `warning`, `passive`, `bus-off`; `absent`, `down`: no interface
+    to listen to."""
     bus_load_pct: float | None = None
     """Measured here over the last full second, worst-case stuffing."""
     frames_s: float | None = None
@@ -114,9 +114,10 @@ class LinkRow(NamedTuple):
 
 
 class Lateness(NamedTuple):
-    """How far behind its schedule each `Gateway_Adhesion` frame came, as seen on the bus.
+    """Lateness of the `Gateway_Adhesion` frames against their schedule, as seen on the bus.
 
-    counts[k] lies in edges_us[k] <= t < edges_us[k + 1]; powers of two, so one edge more.
+    counts[k]: frames with edges_us[k] <= t < edges_us[k + 1]; edges are powers of two, and one
+    more than counts.
     """
 
     edges_us: tuple[int, ...] = ()
@@ -127,7 +128,7 @@ class Lateness(NamedTuple):
 
 
 class Event(NamedTuple):
-    """One thing that happened. level: `info`, `warning`, `error`."""
+    """One event. level: `info`, `warning`, `error`."""
 
     t_s: float
     level: str
@@ -136,7 +137,7 @@ class Event(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """The recent past of one drive, a point every 100 ms, oldest first; all tuples are as long."""
+    """Recent values of one drive every 100 ms, oldest first; all tuples have the same length."""
 
     node: int
     t_s: tuple[float, ...] = ()
@@ -148,7 +149,7 @@ class Trace(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """One moment. drives: in the order of the configuration."""
+    """The state at one time. drives: in the order of the configuration."""
 
     t_s: float
     gateway: GatewayRow
@@ -156,11 +157,11 @@ class Snapshot(NamedTuple):
     link: LinkRow
     lateness: Lateness
     events: tuple[Event, ...]
-    """The last 200 of them, oldest first."""
+    """The last 200 events, oldest first."""
     span_s: tuple[float, float] | None = None
-    """From where to where one can seek; None on a bus."""
+    """First and last time for a seek; None on a bus."""
     history: tuple[Trace, ...] = ()
-    """A trace per drive, of the last 60 s."""
+    """A trace of the last 60 s for each drive."""
 
 
 _WORDS: Final[Mapping[str, Mapping[Flag, str]]] = {
@@ -170,16 +171,16 @@ _WORDS: Final[Mapping[str, Mapping[Flag, str]]] = {
 
 
 def word(name: str, value: IntEnum) -> str:
-    """An enumeration's name as the DBC has it; a flag's depends on the field, `name`."""
+    """Name of an enumeration's member in the DBC; for a flag it depends on the field, `name`."""
     if isinstance(value, Flag):
         return _WORDS.get(name, FAULT)[value]
     return camel(value.name)
 
 
 def as_json(snapshot: Snapshot, *, history: bool = False) -> dict[str, Any]:
-    """The snapshot as plain JSON: keys are the fields' names, None where nothing is known.
+    """The snapshot as data for JSON: keys are names of fields; None: not known.
 
-    history: with the traces, which are large; else the key is left out.
+    history: include the traces, which are large; else the key is left out.
     """
     if not history:
         snapshot = snapshot._replace(history=())

@@ -14,28 +14,28 @@ POINTS: Final = 600
 
 
 class Recent:
-    """A point of every drive each `POINT_NS`; the oldest go."""
+    """A point of every drive each `POINT_NS`; the oldest are dropped."""
 
     def __init__(self, nodes: Iterable[int]) -> None:
-        """Nothing yet."""
+        """Start without points."""
         self._t_s: deque[float] = deque(maxlen=POINTS)
         self._rows: dict[int, deque[DriveRow]] = {n: deque(maxlen=POINTS) for n in nodes}
 
     def __deepcopy__(self, _memo: dict[int, object]) -> Recent:
-        """A copy for which the rows, which never change, are not copied."""
+        """Return a copy that shares the rows, because they never change."""
         other = Recent(self._rows)
         other._t_s = self._t_s.copy()
         other._rows = {node: rows.copy() for node, rows in self._rows.items()}
         return other
 
     def add(self, t_s: float, drives: Iterable[DriveRow]) -> None:
-        """One moment; a row of every drive."""
+        """Add a point: a time and a row of every drive."""
         self._t_s.append(t_s)
         for row in drives:
             self._rows[row.node].append(row)
 
     def traces(self) -> tuple[Trace, ...]:
-        """One per drive, in the order in which they were given."""
+        """A trace for each drive, in the order of `nodes`."""
         t_s = tuple(self._t_s)
         return tuple(
             Trace(

@@ -1,8 +1,8 @@
 """One message as another node receives it: checksum, counter, second senders, age. Pure.
 
-The rules are those of the gateway's own receiver (`gateway/core/receive.c`): a frame counts only
-while the E2E state machine is valid, nothing is used for a second after the last sign of a second
-sender, and what is older than its limit is gone.
+The rules are those of the gateway's own receiver (`gateway/core/receive.c`). A frame is accepted
+only while the E2E state machine is valid. No frame is used for a second after the last sign of a
+second sender. A value older than its age limit is dropped.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gateway.core.channel import sequence_guards
 from gateway.core.inbox import USABLE
 
 LEAST_LIMIT_NS: Final[Nanos] = 100 * MS
-"""A flag frame comes every 10 ms; ten of them missing are not a hiccup of this monitor."""
+"""A flag frame is sent every 10 ms; ten missing ones are more than a short stall of the monitor."""
 NEVER: Final[Nanos] = -1
 _MATCH: Final = {Match.WRONG_LENGTH: "wrong_length", Match.WRONG_FORMAT: "wrong_format"}
 _CHECK: Final = {
@@ -32,18 +32,18 @@ _CHECK: Final = {
 
 
 class Seen:
-    """The signals of one believed frame. None is: not available, out of range, not there."""
+    """The signals of one accepted frame. None: not available, out of range or absent."""
 
     __slots__ = ("_readings", "_spec", "usable")
 
     def __init__(self, spec: MessageSpec | None, readings: Mapping[str, Reading]) -> None:
-        """spec: None with no readings only."""
+        """spec: None only if there are no readings."""
         self._spec = spec
         self._readings = readings
         self.usable = bool(readings) and (
             "Quality" not in readings or self.raw("Quality") in USABLE
         )
-        """Whether the sender itself says that its values can be used, or says nothing of it."""
+        """Whether `Quality` marks the values as usable, or the message has no `Quality`."""
 
     def number(self, name: str) -> float | None:
         """Physical value of a signal."""
@@ -51,12 +51,12 @@ class Seen:
         return reading.value if reading is not None and reading.validity == VALID else None
 
     def raw(self, name: str) -> int | None:
-        """The same as it stands on the wire, for enumerations and flags."""
+        """Raw value of a signal, for enumerations and flags."""
         reading = self._readings.get(name)
         return int(reading.raw) if reading is not None and reading.validity == VALID else None
 
     def label(self, name: str) -> str | None:
-        """The same by the DBC's name for it."""
+        """Label of a signal's value in the DBC."""
         raw = self.raw(name)
         if raw is None or self._spec is None:
             return None
@@ -68,7 +68,7 @@ NOTHING: Final = Seen(None, {})
 
 
 class Track:
-    """One message: what was last believed of it, and why its frames are not."""
+    """One message: its last accepted frame, and the reasons why others are rejected."""
 
     __slots__ = (
         "_codec",
@@ -96,11 +96,11 @@ class Track:
         self._receiver = Receiver(spec)
         self._seen: Seen | None = None
         self._latest = b""
-        """The last frame with a right checksum."""
+        """The last frame with a correct checksum."""
         self._guard = sequence_guards([spec.cycle_ns])
 
     def add_frame(self, match: Match, data: bytes, t_ns: Nanos) -> str | None:
-        """Judge a frame; gives why it is not believed, or None if it is. Never raises.
+        """Check a frame; return why it is rejected, or None if it is accepted. Never raises.
 
         t_ns: not before that of the last call.
         """
@@ -135,7 +135,7 @@ class Track:
         return None if state is SmState.VALID and not self.doubled(t_ns) else "not_yet_valid"
 
     def _note_counter(self, check: Check, data: bytes, t_ns: Nanos) -> None:
-        """Look for signs of a second sender in a frame with a right checksum."""
+        """Look for signs of a second sender in a frame with a correct checksum."""
         repeated, turn = check is Check.REPEATED, COUNTERS[self.spec.profile]
         before, counter = counter_of(self.spec, self._latest), counter_of(self.spec, data)
         ahead = 1 if before is None or counter is None else (counter - before) % turn
@@ -145,17 +145,17 @@ class Track:
         self._latest = data
 
     def doubled(self, now: Nanos) -> bool:
-        """True while two seem to send this message."""
+        """True while two nodes seem to send this message."""
         return now < int(self._guard["rejected_until_ns"][0])
 
     def fresh(self, now: Nanos) -> bool:
-        """True while what was last believed may still be."""
+        """True while the last accepted frame may still be used."""
         if self.good_ns < 0 or now - self.good_ns > self.limit_ns or self.doubled(now):
             return False
         return self.spec.profile is Profile.NONE or self._receiver.state is SmState.VALID
 
     def seen(self, now: Nanos) -> Seen:
-        """What the last believed frame says; nothing where it is too old."""
+        """The signals of the last accepted frame; `NOTHING` if it may no longer be used."""
         if not self.fresh(now):
             return NOTHING
         if self._seen is None:
