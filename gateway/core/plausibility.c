@@ -33,6 +33,7 @@ static const int64_t MOTION_HELD_NS = 100 * MS_NS;
 #define SPEED_MOVED       0.03
 #define SPEED_MOVED_RAD_S 1.0
 #define COMMAND_MOVED     0.15
+#define MOST_TURN         2.5 /* rad between two samples of current, of a rotor that a filter can track */
 
 /* ---- Motion that stands still ---- */
 
@@ -42,11 +43,13 @@ static int has_moved(double now, double before)
     return fabs(now - before) > larger(SPEED_MOVED * fabs(now), SPEED_MOVED_RAD_S);
 }
 
-/* 1 if the filter of a drive tracks its rotor. From too few samples per revolution it may as well track
- * an alias of it. */
+/* 1 if the filter of a drive tracks its rotor. Near two samples of current per revolution it may as
+ * well track an alias of it. */
 static int is_tracked(const struct motion_monitor *m, int64_t k)
 {
-    return m->estimates[k].health == HEALTH_TRACKING && !m->motions[k].aliasing;
+    const double w_e = m->motions[k].pole_pairs * m->inputs[k].speed_rad_s;
+    const int may_be_alias = fabs(w_e) * m->period_s > MOST_TURN;
+    return m->estimates[k].health == HEALTH_TRACKING && !may_be_alias;
 }
 
 /* Rotor speed by the currents, rad/s; NaN: not known. */

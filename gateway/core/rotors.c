@@ -64,28 +64,38 @@ static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in
     return guess ? measured : in->speed_rad_s;
 }
 
-/* Speed and load of every rotor; whether the train brakes. */
+/* Speed and load of one rotor; 1 if its filter tracks. */
+static int note_rotor(const struct train_tick *t, struct rotor *r, const struct rotor_inputs *in)
+{
+    r->load = NAN;
+    r->speed = in->measured_rad_s;
+    if (in->health != HEALTH_TRACKING) {
+        r->followed_s = 0.0;
+        return 0;
+    }
+    r->followed_s += t->tick_s;
+    r->speed = tracked_speed(r, in, t->now_ns);
+    r->load = copysign(1.0, in->speed_rad_s) * in->load_nm / r->rated_nm;
+    return 1;
+}
+
+/* Speed and load of every rotor; whether the train brakes. The load of a wheel that slides is what
+ * slows its rotor, and no effort: it counts only where all wheels slide. */
 static void note(struct train_tick *t)
 {
-    double total = 0.0;
-    int count = 0;
+    double total[2] = {0.0, 0.0}; /* of rotors that turn with the others, of those that do not */
+    int count[2] = {0, 0};
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
-        const struct rotor_inputs *in = &t->in[k];
-        r->load = NAN;
-        r->speed = in->measured_rad_s;
-        if (in->health != HEALTH_TRACKING) {
-            r->followed_s = 0.0;
+        if (!note_rotor(t, r, &t->in[k]))
             continue;
-        }
-        r->followed_s += t->tick_s;
-        r->speed = tracked_speed(r, in, t->now_ns);
-        r->load = copysign(1.0, in->speed_rad_s) * in->load_nm / r->rated_nm;
-        total += r->load;
-        count++;
+        total[r->apart] += r->load;
+        count[r->apart]++;
     }
-    t->effort = count > 0 ? fabs(total) / count : 0.0;
-    t->braking = total < 0.0;
+    const int of = count[0] > 0 ? 0 : 1;
+    t->effort = count[of] > 0 ? fabs(total[of]) / count[of] : 0.0;
+    t->braking = total[of] < 0.0;
+    t->drags = t->braking || t->effort < LEAST_EFFORT;
 }
 
 /* ---- Acceleration ---- */
@@ -194,8 +204,8 @@ static double reference_speed(const struct train_tick *t, const struct speeds *s
                               const struct rotor *r)
 {
     const double own = isnan(r->load) ? NAN : r->speed;
-    const double tracked = median_of_others(&speeds->tracked, own, t->braking);
-    return isnan(tracked) ? median_of_others(&speeds->all, r->speed, t->braking) : tracked;
+    const double tracked = median_of_others(&speeds->tracked, own, t->drags);
+    return isnan(tracked) ? median_of_others(&speeds->all, r->speed, t->drags) : tracked;
 }
 
 /* By what share a rotor is faster than it was of late. */
@@ -220,7 +230,7 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
  * tracked leads the train's speed by itself. */
 static double slip_of(const struct train_tick *t, const struct rotor *r)
 {
-    const double against_others = (t->braking ? -1.0 : 1.0) * r->creep;
+    const double against_others = (t->drags ? -1.0 : 1.0) * r->creep;
     return isnan(r->slip) || against_others > r->slip ? against_others : r->slip;
 }
 
@@ -228,7 +238,7 @@ static double slip_of(const struct train_tick *t, const struct rotor *r)
  * own speed has changed, not theirs. */
 static int runs_away(const struct train_tick *t, const struct rotor *r)
 {
-    const double effort = t->braking ? -1.0 : 1.0;
+    const double effort = t->drags ? -1.0 : 1.0;
     const double slip = slip_of(t, r);
     if (r->away)
         return slip > LEARN_CREEP;

@@ -10,6 +10,8 @@
  * 350 kW motor, the wheelset behind its gear included. */
 #define MOST_ACCELERATION 0.15
 #define DIAMETER_ROUGH_S  0.5 /* of adhering, after which a diameter is known to within a percent */
+/* Mean load, per unit of rated torque, down to which wheels slide by their motors. */
+#define LEAST_EFFORT 0.1
 
 /* What assess_train works on. */
 struct train_tick {
@@ -23,6 +25,8 @@ struct train_tick {
     struct ranking commands; /* valid ones of all drives, per unit of rated torque, without sign */
     double effort;           /* magnitude of their mean; written by follow_rotors, as is: */
     int braking;             /* 1: the loads of all drives brake */
+    int drags;               /* 1: a wheel that slides is slower than its train: it brakes, or no
+                              * motor pulls, and all that can act are friction brakes */
 };
 
 /* The next rotor with the same motor; n after the last one. */

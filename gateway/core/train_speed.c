@@ -19,8 +19,6 @@
 
 #include "estimators/numbers.h"
 
-/* Mean load, per unit of rated torque, down to which wheels slide by their motors; with less they grip. */
-#define LEAST_EFFORT 0.1
 #define CATCH_UP     4.0
 #define HARDER       2.0
 #define UNSEEN_S     1.0  /* without a rotor that is tracked for longer nothing is known any more */
@@ -52,9 +50,10 @@ static double leading_speed(const struct train_tick *t, int first)
         const struct rotor *r = &t->rotor[k];
         const int good = is_measure(t, k);
         const int with_train = t->braking ? r->load <= 0.0 : r->load >= 0.0;
-        if (!with_train || !isfinite(r->speed) || good < adheres)
+        const int may_lead = t->effort < LEAST_EFFORT ? !isnan(r->load) : with_train;
+        if (!may_lead || !isfinite(r->speed) || good < adheres)
             continue;
-        const int leads = t->braking ? r->speed > lead : r->speed < lead;
+        const int leads = t->drags ? r->speed > lead : r->speed < lead;
         lead = leads || isnan(lead) || good > adheres ? r->speed : lead;
         adheres = good;
     }
@@ -99,8 +98,8 @@ static void follow_train(struct train_tick *t, int first)
     const double share = less ? by_motors : MOST_ACCELERATION;
     const double bound = change_in_tick(t, train, share);
     const double limit = change_in_tick(t, train, larger(MOST_ACCELERATION, HARDER * share));
-    train->train_speed = follow_lead(train->train_speed, lead, bound, t->braking);
-    train->train_limit = follow_lead(train->train_limit, lead, limit, t->braking);
+    train->train_speed = follow_lead(train->train_speed, lead, bound, t->drags);
+    train->train_limit = follow_lead(train->train_limit, lead, limit, t->drags);
 }
 
 void compare_with_train(struct train_tick *t, int first)
@@ -108,12 +107,13 @@ void compare_with_train(struct train_tick *t, int first)
     follow_train(t, first);
     const struct rotor *train = &t->rotor[first];
     const double bound = train->train_speed, limit = train->train_limit;
-    const double effort = t->braking ? -1.0 : 1.0;
-    const int known = t->effort >= LEAST_EFFORT && bound >= LEAST_SPEED && limit >= LEAST_SPEED;
+    const double effort = t->drags ? -1.0 : 1.0;
+    const int moves = bound >= LEAST_SPEED && limit >= LEAST_SPEED;
+    const int known = moves && t->effort >= LEAST_EFFORT;
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
         r->slip = known ? effort * (r->speed / bound - 1.0) : NAN;
-        const int slides = known && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
+        const int slides = moves && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
         const int ahead = r->slip < 0.0 && r->learnt_s >= DIAMETER_ROUGH_S;
         const int carries = effort * r->load > CARRIES * t->effort;
         r->ahead_s = ahead && carries ? r->ahead_s + t->tick_s : 0.0;

@@ -47,7 +47,9 @@ ANGLE_OFF_SAMPLES: Final = 0.3
 """Largest step of the angle, rad, and in turns of a sample period, at least of 0.5 ms: stamps
 jitter, and more by as much as a frame of `Motion` is off the grid of its cycle."""
 MOST_TURN: Final = 0.63
-"""Turn between two samples, rad, beyond which nobody rests on the currents: ten a revolution."""
+"""Turn between two samples, rad, beyond which nothing rests on the currents: ten a revolution."""
+OWN_TURN: Final = 2.5
+"""The same of a rotor that a filter can track."""
 LEAST_PERIOD_S: Final = 0.5e-3
 LEARN: Final = 20
 """Readings before the constant part of the angle is known."""
@@ -398,11 +400,17 @@ def _note_motion(
         check.others[k, j] = measured[j]
 
 
+def _tracks(k: int, measured: Array, told: Told, limits: PlausibilityLimits) -> bool:
+    """Whether the filter tracks the rotor, and not an alias of it."""
+    turn = abs(limits.pole_pairs[k] * measured[k]) * limits.period_s
+    return bool(told.health[k] == _TRACKING and not turn > OWN_TURN)
+
+
 def _own_speed(
-    k: int, filters: Columns, told: Told, motion: Memory, limits: PlausibilityLimits
+    k: int, measured: Array, filters: Columns, told: Told, limits: PlausibilityLimits
 ) -> float:
     """Rotor speed by the currents, rad/s; NaN where it is not known, or may be an alias."""
-    if told.health[k] != _TRACKING or motion.beyond[k]:
+    if not _tracks(k, measured, told, limits):
         return math.nan
     return float(filters.x[k, _W_E] / limits.pole_pairs[k])
 
@@ -439,12 +447,11 @@ def check_values(
             r, now, samples, drives, readings, told.health[k], filters, told.flux[k],
             check, limits,
         )  # fmt: skip
-        own = _own_speed(k, filters, told, motion, limits)
+        own = _own_speed(k, measured, filters, told, limits)
         _note_motion(r, readings, measured, slow, own, check)
         held = _motion_held(k, now, measured, slow, own, check, limits.rated_nm[k])
         _count(held, 0, IN_A_ROW, check.motion_held, k, now, check)
-        tracks = told.health[k] == _TRACKING and not motion.beyond[k]
-        load = told.load[k] if tracks else math.nan
+        load = told.load[k] if _tracks(k, measured, told, limits) else math.nan
         off = _load_off(k, load, motion, limits.settled_readings, limits.rated_nm[k])
         _count(off, 0, LOADS_IN_A_ROW, check.load_off, k, now, check)
     for k in range(measured.shape[0]):

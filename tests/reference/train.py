@@ -169,9 +169,14 @@ def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
     return middle(train.speed[compared], upper)
 
 
-def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) -> float:
-    """Speeds and loads of this tick; the train's load, in its direction."""
-    total = 0.0
+def _note(
+    measured: Array, now: int, tick_s: float, told: Told, train: Train
+) -> tuple[float, float]:
+    """Speeds and loads of this tick; the train's effort: mean load, in its direction, and sum.
+
+    Of those that turn with the others, if there are any: a wheel that slides carries its own rotor.
+    """
+    totals, counts = [0.0, 0.0], [0, 0]
     for k in range(measured.shape[0]):
         tracking, speed = told.health[k] == Health.TRACKING, measured[k]
         train.load[k] = math.nan
@@ -187,9 +192,11 @@ def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) ->
             elif not guess:
                 speed = told.speed[k]
             train.load[k] = math.copysign(1.0, told.speed[k]) * told.load[k] / train.rated[k]
-            total += train.load[k]
+            totals[int(train.apart[k])] += train.load[k]
+            counts[int(train.apart[k])] += 1
         train.speed[k] = speed
-    return total
+    of = 0 if counts[0] else 1
+    return (abs(totals[of]) / counts[of] if counts[of] else 0.0), totals[of]
 
 
 def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
@@ -294,6 +301,7 @@ def _compare_speeds(
     tick_s: float, braking: bool, effort: float, flag: Ints, operating: Flags, train: Train
 ) -> None:
     """Who turns faster or slower than the others; learns diameters while nobody slips."""
+    drags = braking or effort < train_speed.LEAST_EFFORT
     for k in range(flag.shape[0]):
         speed = train.speed[k]
         train.speed[k] = train.way[k] * speed if train.way[k] else abs(speed)
@@ -301,7 +309,7 @@ def _compare_speeds(
         train.far[k] = False
         if train.learnt_s[k] < DIAMETER_FIRST_S:
             # What has been learnt so far may be a slip that grows.
-            others = _speed_of_others(k, braking, train)
+            others = _speed_of_others(k, drags, train)
             creep = train.speed[k] / others - 1.0 if others >= LEAST_SPEED_RAD_S else 0.0
             train.far[k] = abs(creep) > MOST_APART
     for k in range(flag.shape[0]):
@@ -312,12 +320,12 @@ def _compare_speeds(
         train.apart, train.rated, train.inertia, train.learnt_s, effort, braking, tick_s,
     )  # fmt: skip
     for k in range(flag.shape[0]):
-        others = _speed_of_others(k, braking, train)
+        others = _speed_of_others(k, drags, train)
         train.creep[k] = math.nan
         if others >= LEAST_SPEED_RAD_S and not math.isnan(train.speed[k]):
             train.creep[k] = train.speed[k] / others - 1.0
         if not math.isnan(train.creep[k]) or not math.isnan(memory.slip[k]):
-            train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
+            train.away[k] = _runs_away(k, -1.0 if drags else 1.0, train)
         turned = train.away[k] and train.learnt_s[k] >= train_speed.ROUGH_S
         memory.sliding[k] = turned and memory.sliding_s[k] > train_speed.SLIDING_S
     for k in range(flag.shape[0]):
@@ -329,7 +337,7 @@ def _compare_speeds(
             train.uncertain[k] = train.uncertain[k] or train.apart[k]
             continue
         far = train_speed.is_off(memory, k, train.learnt_s[k])
-        far = far or _slip(k, -1.0 if braking else 1.0, train) > MOST_CREEP
+        far = far or _slip(k, -1.0 if drags else 1.0, train) > MOST_CREEP
         beyond = (abs(train.creep[k]) > MOST_CREEP if math.isnan(slip) else far) and not stays
         train.near_s[k] = 0.0 if beyond else train.near_s[k] + tick_s
         train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < NEAR_S)
@@ -400,10 +408,9 @@ def assess_train(
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
     are not judged.
     """
-    total = _note(measured, now, tick_s, told, train)
-    braking, count = total < 0.0, int((np.asarray(told.health) == Health.TRACKING).sum())
+    effort, total = _note(measured, now, tick_s, told, train)
+    braking = total < 0.0
     _accelerate(tick_s, braking, train)
-    effort = abs(total) / count if count else 0.0
     _compare_speeds(tick_s, braking, effort, flag, slow.operating, train)
     for k in range(flag.shape[0]):
         train.above[k] = False
