@@ -45,7 +45,7 @@ _REASONS: Final = {
     ),
     Reason.STALE: (
         REASONS[Reason.STALE],
-        "check that the drive is powered and on this bus: `candump` shows identifiers, `check` limits",
+        "check that the drive is powered and on this bus: `candump` shows its identifiers",
         "the drive's CAN connector is off; its messages come ten times slower than the DBC says",
     ),
     Reason.CORRUPTED: (
