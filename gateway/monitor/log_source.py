@@ -57,7 +57,7 @@ class LogSource:
         self._path = path
         self._channel = channel
         first, latest = None, 0
-        for block, _ in self._open():
+        for block, *_ in self._open():
             if block.size:
                 first = block.t_ns.item(0) if first is None else first
                 latest = block.t_ns.item(-1)
@@ -162,7 +162,7 @@ class LogSource:
                 self._held = following
             if _is_empty(self._held):
                 break
-            block, dropped = self._held
+            block, dropped, _ = self._held
             now = int((block.t_ns <= to_ns).sum())
             # Number of dropped frames before the first frame that is later.
             early = int((dropped <= now).sum()) if now < block.size else len(dropped)
