@@ -234,6 +234,7 @@ TOKEN = re.compile(
 )
 """Operators, and whole numbers: parts of fractions are none."""
 STATEMENT = re.compile(r"\s+(?:[\w\->.\[\]]+ [-+|&]?= .*|\w+\(.*\)|break);")
+COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 CONDITION = re.compile(r"\b(?:if|while) \((.*)\)")
 
 
@@ -345,11 +346,16 @@ def judge(source: str, chosen: Sequence[Mutant]) -> list[str]:
 
 
 def digest(source: str) -> str:
-    """Of what the outcomes of a source depend on: its text, its own header, and how it is built."""
+    """Of what the outcomes of a source depend on: its code, its own header, and how it is built.
+
+    Comments are no code, but their lines count: mutants are kept by line.
+    """
     header = (ROOT / source).with_suffix(".h")
     total = hashlib.sha256(" ".join(FLAGS).encode())
     for path in (ROOT / source, header):
-        total.update(path.read_bytes() if path.exists() else b"")
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        code = COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), text)
+        total.update("\n".join(line.rstrip() for line in code.split("\n")).encode())
     return total.hexdigest()
 
 
