@@ -45,7 +45,7 @@ static inline void store_big(uint8_t *bytes, uint64_t number)
     bytes[7] = (uint8_t)number;
 }
 
-/* Copy `length` bytes, a multiple of 8, word by word. */
+/* Copy `length` bytes, a multiple of 8; word by word, as a pointer to bytes may alias anything. */
 static inline void copy_words(uint8_t *to, const uint8_t *from, int length)
 {
     for (int b = 0; b < length; b += 8)

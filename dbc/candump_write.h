@@ -5,7 +5,7 @@
 #include "gateway/core/records.h"
 
 /* Write the line of one frame, without its line end, to text (CANDUMP_MAX_TEXT). flags and dlc as in
- * enum frame_flag and `struct frame_columns`; data (length). Returns the bytes of the line, or 0 for
+ * enum frame_flag and `struct frame_columns`; data (length). Returns the bytes of the line; 0 for
  * a time, an identifier, a name, flags or a length that candump cannot express. */
 int64_t candump_write_line(int64_t t_ns, int64_t can_id, int32_t flags, int32_t dlc, int64_t length,
                            const uint8_t *data, const struct interface_name *name, uint8_t *text);

@@ -9,7 +9,7 @@
 
 #include "dbc/bytes.h"
 
-/* Bits of a signal. A signal of 58 bits or more that is not byte-aligned can end in a ninth byte. */
+/* Bits of a signal. One of 58 bits or more that is not byte-aligned can end in a ninth byte. */
 static inline uint64_t read_bits(const struct signal *signal, const uint8_t *data)
 {
     const uint8_t *bytes = data + signal->first_byte;
