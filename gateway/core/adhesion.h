@@ -16,7 +16,7 @@ void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
                       const struct input_status *inputs, const struct drive_input *drives,
                       const struct drive_status *status, int64_t now_ns);
 
-/* Run the detector of the core: fills `loss_probability`, `loss_known` and `common`. */
+/* Run the core's detector, switching or VB: fills `loss_probability`, `loss_known` and `common`. */
 void adhesion_detect(struct adhesion *a);
 
 /* Fuse the detector's results in place with the response of every drive to its own command; find

@@ -98,8 +98,8 @@ static void relate_commands(struct adhesion *a, const struct drive_input *drives
     }
 }
 
-/* Find the loads that may be compared. A drive mounted the other way round turns and pulls the
- * other way; the sign of its speed gives the direction of the train. Returns how many there are. */
+/* Find loads that may be compared, and their values. A drive mounted the other way round turns and
+ * pulls the other way; the sign of its speed gives the train's direction. Returns the number. */
 static int find_known(struct adhesion *a, const struct drive_estimate *estimates)
 {
     int count = 0;

@@ -2,7 +2,7 @@
  *
  * Bad input is counted, and its cause is kept, so that a flag can report why it is unknown.
  * No function here can fail: an index of a channel, a node or a column comes from a constant table,
- * there is room for all rows, and no divisor is received data. */
+ * there is room for all rows, and no received value is a divisor. */
 #include "gateway/core/receive.h"
 
 #include <math.h>

@@ -160,7 +160,7 @@ void follow_braked(struct rotor *r, int braked, double tick_s)
     const double rate = braked ? torque / (r->inertia_kg_m2 * slow) : -MOST_CREEP / GRIPS_S;
     r->braked_creep = larger(0.0, r->braked_creep + rate * tick_s);
     if (r->braked_creep > MOST_CREEP) {
-        r->braked_creep = MOST_CREEP; /* the doubt ends when its cause ends */
+        r->braked_creep = MOST_CREEP; /* the uncertainty ends with its cause */
         r->uncertain = 1;
     }
 }

@@ -6,7 +6,7 @@
  *
  * Unknown is a valid result: a drive that is not certain to adhere or to be lost has no flag.
  *
- * Nothing here can fail: there is at least one drive, command ratios are at least RATIO_FLOOR
+ * Nothing here can fail: there is at least one drive, all command ratios are at least RATIO_FLOOR
  * (loads.c), nothing else divides, and comparisons with NaN are false, the safe answer. */
 #include "gateway/core/switching_loss.h"
 

@@ -16,8 +16,8 @@
 int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t *ends,
             int64_t ticks, int64_t now_ns);
 
-/* `run` with one tick, of all rows, and only the columns that a tick reads. Returns 0 if the rows are
- * in another order and nothing was done; 2 if Python has to do a part: detector, emergencies; else 1. */
+/* `run` with one tick of all rows; needs only the columns that a tick reads. 0: rows in another
+ * order, nothing was done; 2: a part is left to Python, a detector or emergencies; else 1. */
 int run_one(struct gateway *g, int64_t frames, int64_t *t_ns, uint32_t *can_id, uint8_t *flags,
             uint8_t *length, uint8_t *data, int64_t now_ns);
 

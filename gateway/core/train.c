@@ -3,8 +3,8 @@
  * - Speeds: rotors.c.
  * - Loads: a drive that slides, or carries more than its command and than the others, is no measure
  *   for drives that adhere.
- * - Commands: a load that no command explains, and a command far from all others with a load that
- *   not far from theirs, are errors of the `Status` message: neither a loss nor health is derived.
+ * - Commands: a load that no command explains, and a command far from all others although its load
+ *   is not, are errors of the `Status` message: neither a loss nor health is derived from them.
  * - State: a drive that is not in operation is not judged.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
