@@ -5,11 +5,11 @@
  * currents has the mean 2 if R is right; R is scaled until it has.
  *
  * If R_s or psi_f differ from the data sheet, a voltage along q is missing (errors of R_s i_q and
- * psi_f w_e). The filter compensates with a constant error of its speed, while its angle follows
- * the rotor: innovations, load and speed are biased, and jump at every gap. The chords' speed is
- * that of a turning vector, whatever its length; the filter's excess over it is a voltage psi_f (w
- * - w_chord), which is integrated into `v_q_bias`. (The innovations do not show it: they are zero
- * if they change the load, not if the voltage is missing.) Neither is in paper `adhesion`.
+ * psi_f w_e). The filter compensates with a constant error of its speed, while its angle follows the
+ * rotor: innovations, load and speed are biased, and jump at every gap. The chords' speed is that
+ * of a turning vector, whatever its length; the filter's excess over it gives the voltage
+ * psi_f (w - w_chord), which is integrated into `v_q_bias`. (The innovations do not show it: they
+ * are zero if they change the load, not if the voltage is missing.) Neither is in paper `adhesion`.
  *
  * No function here can fail: every divisor is at least a constant above 0, and results are clamped. */
 #include "estimators/adaptation.h"

@@ -5,8 +5,8 @@
  * This detects what no comparison of drives can: a loss of all wheels, and of a single drive.
  *
  * Commands come late (every 100 ms). A load that falls may follow a command that has not been
- * received yet; so a deficit counts only while a command sent after it began still stands, or if it
- * is sudden, large, and has released the rotor: if the load falls first, the remaining torque
+ * received yet; so a deficit counts only if it outlasts a command that was sent after it began, or
+ * if it is sudden, large, and has released the rotor: if the load falls first, the remaining torque
  * accelerates the wheel; if the torque falls first, it does not. Until then: UNDECIDED. Not in
  * paper `adhesion`.
  *

@@ -279,7 +279,7 @@ static int check_angle(struct motion_monitor *m, const struct reading *reading, 
         off = is_torque_off(m, reading, theta, now_ns) || off;
     }
     if (length >= LEAST_CURRENT * p->rated_a && length < IMPLAUSIBLE) {
-        /* 1 is a current along q in the direction of the torque. */
+        /* The unit vector along q, in the direction of the torque, is 1. */
         const double theta = reading->angle + reading->w_e * reading->later_s;
         const double _Complex turned = reading->current * conj(unit_vector(theta));
         const double sign = reading->torque >= 0.0 ? 1.0 : -1.0;

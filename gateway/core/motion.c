@@ -1,8 +1,8 @@
 /* Measured speed and torque of the drives: load by an observer, and a check of the estimates.
  *
- * The filters need about ten samples of current per electrical revolution. Above that speed the
- * load comes from the observer, without a bump; without a fresh Motion it is unknown. Below that
- * speed, the measured speed shows what currents alone cannot: swapped phases, an aliased speed, a
+ * The filters need about ten samples of current per electrical revolution. With fewer, the load
+ * comes from the observer, without a bump; without a fresh Motion it is then unknown. With enough
+ * samples, the measured speed shows what currents alone cannot: swapped phases, an aliased speed, a
  * wrong sign, and a rotor that turns although the filter does not find it.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every

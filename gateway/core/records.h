@@ -77,7 +77,7 @@ enum flag_state {
         3, /* evidence only: the earlier evidence stands, and no flag changes because of it */
 };
 
-/* Why something is unknown; the numbers are those of the DBC. Priorities: `reason_rank`. */
+/* Reason why a value or a flag is unknown; numbers as in the DBC. Priorities: `reason_rank`. */
 enum reason {
     REASON_NONE = 0,
     REASON_STARTING = 1,
@@ -116,7 +116,7 @@ enum fault_class {
     FAULT_WINDING_RESISTANCE = 8,
 };
 
-/* Which sensor a fault is on. */
+/* Sensor that has a fault. */
 enum fault_sensor {
     FAULT_ON_NONE = 0,
     FAULT_ON_STATOR = 1,
@@ -160,7 +160,7 @@ struct flag {
 
 /* Results of the preceding stations for one drive in this tick. */
 struct flag_inputs {
-    double loss_probability; /* probability of lost adhesion, 0 to 1; else not known */
+    double loss_probability; /* probability of lost adhesion; outside 0 to 1: not known */
     double speed_rad_s;      /* speed of the rotor, rad/s; NaN: not known */
     double load_nm;          /* load, Nm; NaN: not known */
     double load_sigma_nm;    /* standard deviation of the load, Nm; NaN: not known */
@@ -230,12 +230,12 @@ struct drive_status {
 /* What is published of all drives together. */
 struct train_status {
     int64_t age_ns;             /* largest `age_ns` of all drives; NO_TIME if one drive has none */
-    int64_t temperature_age_ns; /* the same of `temperature_age_ns` */
+    int64_t temperature_age_ns; /* the same for `temperature_age_ns` */
     uint8_t adhesion_reason;    /* enum reason: worst `adhesion_reason` of all drives */
     uint8_t faults_reason;      /* enum reason: worst `thermal_reason` of all drives */
     uint8_t sensor;             /* enum flag_state: bad if one drive's is, else unknown if one is */
-    uint8_t comm;               /* the same of the communication flags */
-    uint8_t estimator;          /* the same of the estimator flags */
+    uint8_t comm;               /* the same for the communication flags */
+    uint8_t estimator;          /* the same for the estimator flags */
     uint8_t overrun;            /* enum flag_state: bad if ticks were missed recently */
     uint8_t state;              /* enum gateway_state */
     uint8_t detector;           /* number of the detector in the DBC; written once */
@@ -659,7 +659,7 @@ struct filter_sample {
 /* Limits of the speed for acquisition, rad/s electrical; constant. */
 struct acquisition_limits {
     double w_on;  /* a drive becomes ready from this speed upwards */
-    double w_off; /* and stays so down to this one; above 7 rad/s, the effect of R_s 20 % off */
+    double w_off; /* stays so down to this; above 7 rad/s, as of R_s 20 % off at rated current */
 };
 
 /* Flux chords of one drive; `acquisition_restart` sets it to no sample seen. */
@@ -765,7 +765,7 @@ struct rotor {
     double creep;        /* speed over that of the others, minus 1 */
     double slip;        /* `speed` over `train_speed` minus 1, negated in braking; NaN: not known */
     double train_speed; /* in the first rotor of a motor only: bound of the train's speed */
-    double train_limit; /* the same bound, for a train faster to change its speed than any is */
+    double train_limit; /* the same bound, moving faster than the speed of any train */
     double unseen_s;    /* in the first only: time without any tracked rotor, s */
     double unsure_s;    /* in the first only: time without any rotor known to adhere, s (creep.c) */
     double sure_speed;  /* in the first only: `train_speed` when that time began; 0: not known */
@@ -983,7 +983,7 @@ struct id_entry {
     int64_t channel; /* index of its channel, or enum id_owner */
 };
 
-/* Numbers of what the frames of one tick contained. */
+/* Counts of the contents of one tick's frames. */
 struct received {
     int64_t accepted;     /* accepted frames */
     int64_t samples;      /* rows of samples */
@@ -1437,7 +1437,7 @@ struct plausibility {
     double torque_per_a;   /* Nm per A along q, at the flux of the data sheet */
     double rated_a;        /* rated current, A */
     double rated_nm;       /* rated torque, Nm */
-    double least_change_a; /* A, a repeat is a current that should have changed by more */
+    double least_change_a; /* A, a constant current that should change by more is a repeat */
     /* repeated currents */
     double current[CURRENT_HISTORY][2]; /* alpha, beta of the last samples, A, a ring */
     uint64_t samples;                   /* number of samples so far */
@@ -1659,14 +1659,14 @@ struct integrity {
     uint8_t authenticated;    /* 1: receivers can tell the gateway's frames from an intruder's */
     uint8_t stop_on_intruder; /* 1: the gateway falls silent once there is an intruder */
     /* notes of the driver for the next tick */
-    int64_t missed_ticks; /* number of ticks skipped before it */
+    int64_t missed_ticks; /* number of ticks skipped before that tick */
     int64_t lost_frames;  /* number of frames dropped unread since the last tick */
     uint8_t watching;     /* 1: frames with the gateway's identifiers can only be an intruder's */
     /* state */
     int64_t now_ns;          /* stamp of the last tick */
     int64_t deadline_misses; /* number of skipped ticks since the start */
     int64_t late_in_a_row;   /* consecutive ticks before which others were skipped */
-    int64_t overrun_ns;      /* stamp of the last of these */
+    int64_t overrun_ns;      /* stamp of the last tick before which others were skipped */
     int64_t lost_ns;         /* stamp of the last tick before which frames were lost */
     int64_t intruder_ns;     /* stamp of the last tick with an intruder's frames */
     uint8_t intruder; /* 1: there was one. Latched: receivers cannot tell two senders apart */
@@ -1874,7 +1874,7 @@ struct switching_load {
     uint8_t known;  /* 1: `load` is a number */
     uint8_t apart;  /* 1: its wheel runs apart from the others and is no measure for them */
     uint8_t unsure; /* 1: its wheel may not adhere: nothing is learnt from it */
-    uint8_t source; /* estimate that the load comes from, of two: each has its own noise */
+    uint8_t source; /* 0: load of the filter, 1: of the observer; each has its own noise */
 };
 
 /* Noise of one drive's load around its expected value. */
@@ -1898,7 +1898,7 @@ struct switching {
     int32_t kept;                   /* number of hypotheses */
     int32_t contradicted;           /* consecutive steps in which most loads were meaningless */
     struct switching_load *loads;   /* (n,) input */
-    struct switching_noise *noises; /* (n,) */
+    struct switching_noise *noises; /* (n,) learnt noise of each load */
     struct switching_hypothesis *hypotheses; /* (SWITCHING_KEPT,), the first `kept` */
     struct switching_drive *drives;          /* (SWITCHING_KEPT, n) */
     struct switching_hypothesis *trials;     /* (SWITCHING_TRIED,) workspace */
