@@ -169,7 +169,7 @@ static int any_compared(const struct adhesion *a)
 }
 
 /* Follow the common load, and whether it is large enough for a comparison. Returns 1 if it is too
- * small to accuse a drive. */
+ * small to be evidence of a loss of one drive. */
 static int follow_common(struct adhesion *a)
 {
     if (!any_compared(a)) {

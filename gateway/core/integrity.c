@@ -1,7 +1,7 @@
 /* Causes that make the flags of all drives unknown: missed ticks, lost frames, an intruder.
  *
- * An intruder is latched until a restart: receivers cannot tell the two senders apart, so an operator
- * must check. The configuration sets how long flags are unknown (docs/threats.md).
+ * An intruder is latched until a restart: receivers cannot distinguish the two senders, so an
+ * operator must check. The configuration sets how long flags are unknown (docs/threats.md).
  *
  * Nothing here can fail: nothing divides, and differences of stamps wrap if a record holds
  * nonsense. */

@@ -1656,7 +1656,7 @@ struct integrity {
     int64_t lost_hold_ns;     /* time for which lost frames make adhesion flags unknown */
     int64_t intruder_hold_ns; /* flags are unknown for so long after an intruder's last frame;
                                  INT64_MAX: until a restart */
-    uint8_t authenticated;    /* 1: receivers can tell the gateway's frames from an intruder's */
+    uint8_t authenticated;    /* 1: receivers can distinguish its frames from an intruder's */
     uint8_t stop_on_intruder; /* 1: the gateway falls silent once there is an intruder */
     /* notes of the driver for the next tick */
     int64_t missed_ticks; /* number of ticks skipped before that tick */
@@ -1669,7 +1669,7 @@ struct integrity {
     int64_t overrun_ns;      /* stamp of the last tick before which others were skipped */
     int64_t lost_ns;         /* stamp of the last tick before which frames were lost */
     int64_t intruder_ns;     /* stamp of the last tick with an intruder's frames */
-    uint8_t intruder; /* 1: there was one. Latched: receivers cannot tell two senders apart */
+    uint8_t intruder; /* 1: there was one. Latched: receivers cannot distinguish two senders */
     uint8_t silent;   /* 1: the gateway has stopped sending */
     uint8_t mute;     /* 1: this tick's frames are not sent: it was silent before */
 };

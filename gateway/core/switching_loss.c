@@ -42,8 +42,8 @@
 #define BACK        0.9  /* probability of adhering from which the load is back */
 #define SLIDES      0.05 /* creep in the direction of the effort; 3 % of slow wheels is noise */
 
-/* Standard deviation by which the load of a drive that reduces its torque may differ from what its
- * last command says. */
+/* Standard deviation by which the load of a drive that reduces its torque may differ from its last
+ * command. */
 static double command_error(const struct adhesion *a, int k, double load)
 {
     const struct drive_load *mine = &a->loads[k];
