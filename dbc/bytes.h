@@ -1,11 +1,11 @@
-/* Eight bytes as one number, in both byte orders, and the bits of floating-point numbers. A compiler
- * makes one instruction or two of each. */
+/* Eight bytes as one number, in both byte orders, and floating-point numbers as their bits. Each
+ * function compiles to one or two instructions. */
 #ifndef TRACTION_BYTES_H
 #define TRACTION_BYTES_H
 
 #include <stdint.h>
 
-/* The first byte is the lowest. */
+/* The first byte is the least significant one. */
 static inline uint64_t load_little(const uint8_t *bytes)
 {
     return (uint64_t)bytes[0] | (uint64_t)bytes[1] << 8 | (uint64_t)bytes[2] << 16 |
@@ -13,7 +13,7 @@ static inline uint64_t load_little(const uint8_t *bytes)
            (uint64_t)bytes[6] << 48 | (uint64_t)bytes[7] << 56;
 }
 
-/* The first byte is the highest. */
+/* The first byte is the most significant one. */
 static inline uint64_t load_big(const uint8_t *bytes)
 {
     return (uint64_t)bytes[0] << 56 | (uint64_t)bytes[1] << 48 | (uint64_t)bytes[2] << 40 |
@@ -45,7 +45,7 @@ static inline void store_big(uint8_t *bytes, uint64_t number)
     bytes[7] = (uint8_t)number;
 }
 
-/* `length` bytes, a multiple of 8; in words, as bytes may be part of anything. */
+/* Copy `length` bytes, a multiple of 8; word by word, as a pointer to bytes may alias anything. */
 static inline void copy_words(uint8_t *to, const uint8_t *from, int length)
 {
     for (int b = 0; b < length; b += 8)

@@ -1,5 +1,5 @@
-/* Candump text to frames: the line of most logs. dbc/candump/grammar.py has the grammar of all lines, and
- * decides on those that are left to it here.
+/* Candump text to frames, for the usual line of a log. dbc/candump/grammar.py has the grammar of
+ * all lines and decides on those that are left to it here.
  *
  *     line      = stamp gap name gap id "#" (classic | fd) [" R" | " T"] [CR] LF
  *     stamp     = "(" 1 to 10 digits "." (6 digits | 9 digits) ")"    below 9,000,000,000 s
@@ -9,9 +9,9 @@
  *     classic   = 0 to 8 bytes, two hexadecimal digits each
  *     fd        = "#" flags, and 0 to 64 bytes, as many as a CAN FD frame can have
  *
- * Each function that reads a part of a line returns the place behind it: NULL where the text is
- * something else, and NULL if it is called with NULL. None can fail: no byte at or behind `end` is
- * read, and no part of a line contains a line end, so no line end is overlooked. */
+ * Each function that reads a part of a line returns the place after it, or NULL if the text is
+ * not such a part or the function was called with NULL. None can fail: no byte at or after `end` is
+ * read, and no part of a line contains a line end, so no line end is skipped. */
 #include "dbc/candump_read.h"
 
 #include <stddef.h>
@@ -28,7 +28,7 @@ static const uint8_t HEX[256] = {
     27,         28, 29, 30, 31, ['a'] = 26, 27, 28, 29, 30, 31,
 };
 
-/* Decimal digits, `most` of them at most; how many there are in *count. */
+/* Read at most `most` decimal digits; their number goes into *count. */
 static const uint8_t *read_digits(const uint8_t *at, const uint8_t *end, int most, int *count,
                                   int64_t *number)
 {
@@ -45,7 +45,7 @@ static const uint8_t *read_digits(const uint8_t *at, const uint8_t *end, int mos
     return at + k;
 }
 
-/* A stamp, in ns. The largest one is below 2^63. */
+/* Read a stamp, in ns. The largest one is below 2^63. */
 static const uint8_t *read_stamp(const uint8_t *at, const uint8_t *end, int64_t *t_ns)
 {
     int64_t seconds, fraction;
@@ -84,7 +84,7 @@ static const uint8_t *read_name(const uint8_t *at, const uint8_t *end)
     return at > first && at - first <= CANDUMP_MAX_NAME ? at : NULL;
 }
 
-/* Three digits and the `#` behind them. */
+/* Read three digits and the `#` after them. */
 static const uint8_t *read_id(const uint8_t *at, const uint8_t *end, uint32_t *can_id)
 {
     if (!at || end - at < 4 || at[3] != '#')
@@ -96,7 +96,7 @@ static const uint8_t *read_id(const uint8_t *at, const uint8_t *end, uint32_t *c
     return at + 4;
 }
 
-/* A second `#` and the flags of a CAN FD frame; neither of them, and no flags, of a classic one. */
+/* Read a second `#` and the flags of a CAN FD frame; a classic frame has neither. */
 static const uint8_t *read_flags(const uint8_t *at, const uint8_t *end, uint8_t *flags)
 {
     *flags = 0;
@@ -107,7 +107,7 @@ static const uint8_t *read_flags(const uint8_t *at, const uint8_t *end, uint8_t 
     return bits & IS_HEX ? at + 2 : NULL;
 }
 
-/* Data bytes, as many as a frame with these flags can have; fills a row of PAYLOAD_BYTES. */
+/* Read data bytes, as many as a frame with these flags can have; fills a row of PAYLOAD_BYTES. */
 static const uint8_t *read_data(const uint8_t *at, const uint8_t *end, uint8_t flags, uint8_t *data,
                                 uint8_t *length)
 {
@@ -124,10 +124,10 @@ static const uint8_t *read_data(const uint8_t *at, const uint8_t *end, uint8_t f
         data[count++] = (uint8_t)(high << 4 | (low & 15));
     }
     *length = (uint8_t)count;
-    return is_fd_length(count) ? at : NULL; /* up to 8, any length is */
+    return is_fd_length(count) ? at : NULL; /* up to 8, any length is valid */
 }
 
-/* What may stand behind the data, up to the line end, with the direction; the place of that one. */
+/* Read what may follow the data, with the direction; returns the place of the line end. */
 static const uint8_t *read_end(const uint8_t *at, const uint8_t *end, uint8_t *flags)
 {
     if (!at)
@@ -141,7 +141,7 @@ static const uint8_t *read_end(const uint8_t *at, const uint8_t *end, uint8_t *f
     return at < end && *at == '\n' ? at : NULL;
 }
 
-/* Index of an interface name, which is added if it is new; -1 if there is no room for it. */
+/* Index of an interface name, which is added if it is new; -1 if the table is full. */
 static int find_name(struct interface_name *names, const uint8_t *text, int64_t size)
 {
     for (int n = 0; n < CANDUMP_NAMES; n++) {
@@ -163,7 +163,7 @@ static int find_name(struct interface_name *names, const uint8_t *text, int64_t 
     return -1;
 }
 
-/* A line with a frame, into a row; the place of its line end. */
+/* Read a line with a frame into a row; returns the place of its line end. */
 static const uint8_t *read_frame(const uint8_t *at, const uint8_t *end,
                                  const struct frame_columns *frames, int64_t row,
                                  struct interface_name *names)
@@ -186,7 +186,7 @@ static const uint8_t *read_frame(const uint8_t *at, const uint8_t *end,
     return channel < 0 ? NULL : at;
 }
 
-/* What a line without a plain frame is, as far as its first characters and its length tell. */
+/* Kind of a line without a plain frame, as far as its first characters and its length show it. */
 static enum candump_line classify(const uint8_t *line, const uint8_t *end)
 {
     if (end > line && end[-1] == '\r')

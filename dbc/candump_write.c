@@ -1,7 +1,7 @@
 /* Frames to candump text, as `candump -L` writes it; dbc/candump/grammar.py has the grammar of such lines.
  *
- * Each function that writes a part of a line returns the place behind it. None can fail: only what
- * `fits` is written, and that takes fewer than CANDUMP_MAX_TEXT bytes: 22 of stamp, 22 of name and
+ * Each function that writes a part of a line returns the place after it. None can fail: only frames
+ * that pass `fits` are written, in fewer than CANDUMP_MAX_TEXT bytes: 22 of stamp, 22 of name and
  * blank, 9 of identifier, 2 of CAN FD flags, 128 of data, 2 of a raw length, 2 of direction, 1 of
  * line end. */
 #include "dbc/candump_write.h"
@@ -14,7 +14,7 @@ static const int64_t END_NS = INT64_C(9000000000) * NS_PER_S; /* fits in 64 bits
 static const int64_t STANDARD_ID = 0x7FF, EXTENDED_ID = 0x1FFFFFFF, ERROR_BIT = 0x20000000;
 static const uint8_t DIGITS[] = "0123456789ABCDEF";
 
-/* 1 if a line can say a frame with these flags, raw length and length of data. */
+/* 1 if a line can express a frame with these flags, raw length and length of data. */
 static int has_form(int32_t flags, int32_t dlc, int64_t length)
 {
     if (flags & FRAME_ERROR && flags & (FRAME_REMOTE | FRAME_FD | FRAME_EXTENDED))
@@ -78,7 +78,7 @@ static uint8_t *write_stamp(uint8_t *at, int64_t t_ns)
     return at;
 }
 
-/* A remote frame has no data: `R`, and what it asks for; `R8_` and a raw length above 8. */
+/* A remote frame has no data: `R` and the requested length; `R8_` and the raw length if above 8. */
 static uint8_t *write_request(uint8_t *at, int32_t dlc)
 {
     *at++ = 'R';
@@ -91,7 +91,7 @@ static uint8_t *write_request(uint8_t *at, int32_t dlc)
     return at;
 }
 
-/* What stands behind the `#` of the identifier. */
+/* Write what follows the `#` of the identifier. */
 static uint8_t *write_body(uint8_t *at, int32_t flags, int32_t dlc, int64_t length,
                            const uint8_t *data)
 {

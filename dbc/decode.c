@@ -1,7 +1,7 @@
 /* Bits of a frame to physical values, by the DBC alone.
  *
- * No function here can fail: `data` has PAYLOAD_BYTES bytes, of which `first_byte` (at most 56) and
- * the eight bytes from there are some, a ninth one only where dbc/codec_tables.py found one; every
+ * No function here can fail: `data` has PAYLOAD_BYTES bytes, which contain the eight bytes from
+ * `first_byte` (at most 56) on; a ninth one is read only where dbc/codec_tables.py found one; every
  * other index is from the constant tables. Nothing is divided. */
 #include "dbc/decode.h"
 
@@ -9,11 +9,11 @@
 
 #include "dbc/bytes.h"
 
-/* The bits of a signal. Off the byte grid, one of 58 bits and more can end in a ninth byte. */
+/* Bits of a signal. One of 58 bits or more that is not byte-aligned can end in a ninth byte. */
 static inline uint64_t read_bits(const struct signal *signal, const uint8_t *data)
 {
     const uint8_t *bytes = data + signal->first_byte;
-    /* Without a branch: which order comes next depends on the frames. */
+    /* Without a branch: the byte order of the next signal depends on the frames. */
     const uint64_t little = load_little(bytes), big = load_big(bytes);
     const uint64_t swapped = -(uint64_t)signal->big_endian;
     uint64_t bits = ((big & swapped) | (little & ~swapped)) >> signal->shift;
@@ -25,13 +25,13 @@ static inline uint64_t read_bits(const struct signal *signal, const uint8_t *dat
     return bits & signal->mask;
 }
 
-/* Two's complement of the signal's width to that of 64 bits; an unsigned one stays as it is. */
+/* Two's complement of the signal's width extended to 64 bits; an unsigned number stays as it is. */
 static uint64_t sign_extended(const struct signal *signal, uint64_t bits)
 {
     return (bits ^ signal->sign) - signal->sign;
 }
 
-/* The number that a float's bits are. */
+/* Number that the bits of a float represent. */
 static double float_of(const struct signal *signal, uint64_t bits)
 {
     if (signal->type == SIGNAL_FLOAT64)
@@ -71,7 +71,7 @@ static uint8_t judge(const struct signal *signal, uint64_t key)
     return SIGNAL_VALID;
 }
 
-/* Physical value of a signal that is in the frame; returns its validity. */
+/* Decode a signal that is in the frame; returns its validity. */
 static uint8_t decode_signal(const struct signal *signal, const uint8_t *data, double *value)
 {
     const uint64_t bits = read_bits(signal, data);
@@ -87,7 +87,7 @@ static uint8_t decode_signal(const struct signal *signal, const uint8_t *data, d
     return judge(signal, bits ^ signal->sign);
 }
 
-/* Which signals of a listed message are in a frame, a bit for each. */
+/* Signals of a listed message that are in a frame, one bit for each. */
 static uint64_t present_signals(const struct codec *codec, const struct message *message,
                                 const uint8_t *data)
 {
@@ -95,7 +95,7 @@ static uint64_t present_signals(const struct codec *codec, const struct message 
     return codec->present[message->first_present + read_bits(selector, data)];
 }
 
-/* NaN where `present` is 0: all bits set. No branch, as what a selector selects is hard to predict. */
+/* The value, or NaN (all bits set) if `present` is 0. No branch: a selector is hard to predict. */
 static double value_if(unsigned present, double value)
 {
     return double_of_bits(bits_of_double(value) | ((uint64_t)present - 1));
@@ -109,7 +109,7 @@ static void decode_plain(const struct signal *signals, int count, const uint8_t 
         validity[k] = decode_signal(&signals[k], data, &value[k]);
 }
 
-/* One frame of any message; of a signal that is not in it the value is NaN. */
+/* Decode one frame of any message; a signal that is not in the frame becomes NaN. */
 static void decode_multiplexed(const struct codec *codec, const struct message *message,
                                const uint8_t *data, double *value, uint8_t *validity)
 {
@@ -126,7 +126,7 @@ static void decode_multiplexed(const struct codec *codec, const struct message *
     }
 }
 
-/* Columns from `first` on, which carry nothing. */
+/* Columns from `first` on, which have no signal. */
 static void leave_blank(int first, int width, double *value, uint8_t *validity)
 {
     for (int k = first; k < width; k++)

@@ -6,13 +6,13 @@
 
 /* Decode `frames` frames. message: (frames) their numbers in the codec; data: (frames,
  * PAYLOAD_BYTES). Fills value, in the DBC's units, and validity (enum signal_validity), both
- * (frames, codec->width); columns without a signal are NaN and SIGNAL_ABSENT, and all of them for a
- * number that is none of a message. A value that is not SIGNAL_VALID must not be used. */
+ * (frames, codec->width). Columns without a signal are NaN and SIGNAL_ABSENT; so are all columns
+ * if the number is not that of a message. A value that is not SIGNAL_VALID must not be used. */
 void decode_frames(const struct codec *codec, int64_t frames, const int32_t *message,
                    const uint8_t *data, double *value, uint8_t *validity);
 
-/* Raw values of one frame of a message, of every signal, absent ones too: sign-extended, bits of
- * a double for a float. message: its number, which is one of the codec's. Fills raw (signals). */
+/* Raw values of all signals of one frame, absent ones too: sign-extended integers, and for a float
+ * the bits of a double. message: its number, which is one of the codec's. Fills raw (signals). */
 void raw_values(const struct codec *codec, int32_t message, const uint8_t *data, uint64_t *raw);
 
 /* 1 if the selectors in a frame have values that select a signal of this message, else 0. */

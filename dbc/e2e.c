@@ -1,8 +1,8 @@
 /* E2E protection of CAN frames: AUTOSAR profiles 02 and 05 (PRS_E2EProtocol), and the receiver's
  * state machine (SWS_E2ELibrary).
  *
- * No function here can fail, whatever a record holds but for `length`, which is that of the frame:
- * no frame shorter than its header is looked at, every other index is masked or bounded by a
+ * No function here can fail, whatever a record holds, as long as `length` is that of the frame:
+ * no frame shorter than its header is read, every other index is masked or bounded by a
  * constant, and the only divisor is the constant number of counter values. */
 #include "dbc/e2e.h"
 
@@ -10,7 +10,7 @@
 
 enum { HEADER_02 = 2, HEADER_05 = 3 }; /* bytes: checksum, counter */
 
-/* Profile 02: over all bytes behind the checksum, then the data id that the counter selects. */
+/* Profile 02: over all bytes after the checksum, then the data id that the counter selects. */
 static uint8_t crc_profile_02(const struct e2e_config *config, const uint8_t *data)
 {
     uint8_t crc = crc8_h2f(CRC8_H2F_START, data + 1, config->length - 1u);
@@ -18,7 +18,7 @@ static uint8_t crc_profile_02(const struct e2e_config *config, const uint8_t *da
     return (uint8_t)(crc ^ CRC8_H2F_START);
 }
 
-/* Profile 05: over all bytes behind the checksum, then the data id, low byte first. */
+/* Profile 05: over all bytes after the checksum, then the data id, low byte first. */
 static uint16_t crc_profile_05(const struct e2e_config *config, const uint8_t *data)
 {
     uint16_t crc = crc16_ccitt(CRC16_START, data + 2, config->length - 2u);
@@ -52,7 +52,7 @@ int e2e_crc_fits(const struct e2e_config *config, const uint8_t *data)
     }
 }
 
-/* How many values the counter has before it wraps to 0; 1: there is no counter. */
+/* Number of counter values before it wraps to 0; 1: there is no counter. */
 static int counter_values(const struct e2e_config *config)
 {
     switch (config->profile) {
@@ -65,7 +65,7 @@ static int counter_values(const struct e2e_config *config)
     }
 }
 
-/* Counter steps from `last` to `counter`, from 1 to a whole turn; 1 where there is no last one. */
+/* Counter steps from `last` to `counter`, from 1 to a full turn; 1 if there is no last counter. */
 static int steps_between(int last, int counter, int turn)
 {
     if (last < 0)
@@ -101,8 +101,8 @@ int e2e_check(const struct e2e_config *config, struct e2e_state *state, const ui
     return step > 1 ? E2E_P_OK_SOME_LOST : E2E_P_OK;
 }
 
-/* SWS_E2E_00345: where a state leads by the numbers of OK and ERROR in the window. Repeats, jumps
- * and silence are neither: they starve the window of OK. */
+/* SWS_E2E_00345: next state, by the numbers of OK and ERROR in the window. Repeats, jumps
+ * and silence count as neither: with them the window runs out of OK. */
 static const struct transition {
     int min_ok, max_error; /* inclusive */
     uint8_t enough;        /* at least min_ok, at most max_error */
@@ -120,7 +120,7 @@ static uint8_t next_state(const struct e2e_state *state, int status)
         int has_data = status != E2E_P_ERROR && status != E2E_P_NO_NEW_DATA;
         return has_data ? E2E_SM_INIT : E2E_SM_NO_DATA;
     }
-    const struct transition *row = &TRANSITIONS[state->state]; /* in range: just looked */
+    const struct transition *row = &TRANSITIONS[state->state]; /* in range: checked above */
     int ok = 0, errors = 0;
     for (unsigned k = 0; k < E2E_WINDOW; k++) {
         ok += state->window[k] <= E2E_P_OK_SOME_LOST;

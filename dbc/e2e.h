@@ -7,13 +7,13 @@
 /* 1 if the checksum of `data` (config->length bytes) fits, else 0. */
 int e2e_crc_fits(const struct e2e_config *config, const uint8_t *data);
 
-/* Nothing received yet. */
+/* Reset to nothing received. */
 void e2e_reset(struct e2e_state *state);
 
-/* Check one frame (config->length bytes): an enum e2e_check_status. Keeps its counter. */
+/* Check one frame (config->length bytes): an enum e2e_check_status. Stores its counter. */
 int e2e_check(const struct e2e_config *config, struct e2e_state *state, const uint8_t *data);
 
-/* Feed the status of one receiver cycle to the state machine: the new enum e2e_sm_state. */
+/* Feed the result of one receiver cycle to the state machine: the new enum e2e_sm_state. */
 int e2e_sm_check(struct e2e_state *state, int status);
 
 /* Write counter (modulo its width) and checksum into the header of `data`, if it has room for one. */

@@ -1,7 +1,7 @@
 /* Physical values to bits of a frame, by the DBC alone.
  *
- * No function here can fail: indices as in dbc/decode.c; `scale` is not 0, and if a damaged record
- * said so, the quotient would be infinite or NaN, which every conversion below bounds first. */
+ * No function here can fail: indices are as in dbc/decode.c; `scale` is not 0, and if a damaged
+ * record had 0, the quotient would be infinite or NaN, which each conversion below bounds first. */
 #include "dbc/encode.h"
 
 #include <float.h>
@@ -11,7 +11,7 @@
 #include "dbc/decode.h"
 #include "dbc/rounding.h"
 
-/* Bits of a signed integer. What is left after the two comparisons is within int64_t. */
+/* Bits of a signed integer. After the two comparisons the number is within int64_t. */
 static uint64_t signed_bits(const struct signal *signal, double raw)
 {
     const int64_t low = (int64_t)(signal->key_min - signal->sign);
@@ -45,12 +45,12 @@ static uint64_t unsigned_bits(const struct signal *signal, double raw)
 
 static double bounded(double x, double low, double high)
 {
-    if (!(x > low)) /* NaN, too */
+    if (!(x > low)) /* NaN as well */
         return low;
     return x < high ? x : high;
 }
 
-/* Bits of a float: within the range, which a negative scale turns round, and its type's range. */
+/* Bits of a float: within its range, whose ends a negative scale swaps, and that of its type. */
 static uint64_t float_bits(const struct signal *signal, double raw)
 {
     const double one = (signal->float_min - signal->offset) / signal->scale;
@@ -73,7 +73,7 @@ static uint64_t bits_of(const struct signal *signal, double value)
     return (signal->sign ? signed_bits(signal, raw) : unsigned_bits(signal, raw)) & signal->mask;
 }
 
-/* Put bits into bytes that are 0 there. */
+/* Write bits into bytes in which these bits are 0. */
 static void write_bits(const struct signal *signal, uint64_t bits, uint8_t *data)
 {
     uint8_t *bytes = data + signal->first_byte;
@@ -96,7 +96,7 @@ void encode_frame(const struct codec *codec, int32_t message, const double *valu
     const struct signal *signals = &codec->signals[layout->first_signal];
     for (int b = 0; b < PAYLOAD_BYTES; b++)
         data[b] = 0;
-    /* Selectors first: whether a signal is in the frame is read from the frame. */
+    /* Selectors first: they decide which other signals are in the frame. */
     for (int depth = 0; depth <= layout->mux_depth; depth++) {
         for (int k = 0; k < layout->signal_count; k++) {
             const struct signal *signal = &signals[k];

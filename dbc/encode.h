@@ -5,9 +5,9 @@
 #include "gateway/core/records.h"
 
 /* Encode one frame of a message. message: its number, which is one of the codec's; value: (signals)
- * in the DBC's units; given: (signals) 1 where `value` counts, 0 for the start value. NaN and
- * infinity become the not-available code (the start value where there is none), numbers out of
- * range the end of the range. Multiplexed signals are written where the selectors have values that
+ * in the DBC's units; given: (signals) 1 to encode `value`, 0 to encode the start value. NaN and
+ * infinity become the not-available code (the start value if the signal has none), and numbers out
+ * of range become the nearer end of the range. Multiplexed signals are written if their selectors
  * select them. Fills data (PAYLOAD_BYTES); a protection header has its start values. */
 void encode_frame(const struct codec *codec, int32_t message, const double *value,
                   const uint8_t *given, uint8_t *data);

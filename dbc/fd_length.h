@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-/* 1 if a CAN FD frame can have so many bytes (ISO 11898-1). */
+/* 1 if a CAN FD frame can have this number of data bytes (ISO 11898-1). */
 static inline int is_fd_length(int64_t length)
 {
     switch (length) {

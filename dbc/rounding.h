@@ -8,10 +8,10 @@
 #define TWO_52 4503599627370496.0    /* 2^52 */
 #define TWO_63 9223372036854775808.0 /* 2^63 */
 
-/* Nearest whole number, halves to the even one. |x| < 2^63, so the conversion is exact. */
+/* Nearest whole number; halves are rounded to even. |x| < 2^63, so the conversion is exact. */
 static inline int64_t round_half_even(double x)
 {
-    const double shift = copysign(TWO_52, x); /* with it, a double has no bits below 1 */
+    const double shift = copysign(TWO_52, x); /* added to x, it leaves a double no bits below 1 */
     return (int64_t)(fabs(x) < TWO_52 ? x + shift - shift : x);
 }
 

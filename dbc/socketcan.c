@@ -1,7 +1,7 @@
 /* C structures of SocketCAN (linux/can.h) to the columns of a block of frames.
  *
- * No function here can fail: of a message nothing is read behind its size, of its control nothing
- * behind `control_size`, and lengths are those that a frame can have, whatever a length byte says. */
+ * No function here can fail: no message is read beyond its size, no control data beyond
+ * `control_size`, and lengths are those that a frame can have, whatever the length byte is. */
 #include "dbc/socketcan.h"
 
 #define CLASSIC_BYTES    16 /* struct can_frame */
@@ -18,7 +18,7 @@
 #define LEVEL_SOCKET     1    /* SOL_SOCKET */
 #define TYPE_STAMP       35   /* SO_TIMESTAMPNS */
 #define TYPE_DROPS       40   /* SO_RXQ_OVFL */
-#define TRUNCATED        0x20 /* MSG_TRUNC: the message was longer than a frame is */
+#define TRUNCATED        0x20 /* MSG_TRUNC: the message was longer than a frame */
 #define SECOND_NS        1000000000
 
 /* ---- Control messages (cmsg(3)) ---- */
@@ -34,7 +34,7 @@ struct control_stamp {
     long nanoseconds;
 };
 
-/* Note one message with `size` bytes of data; both are aligned as a long is. */
+/* Evaluate one control message with `size` bytes of data; both are aligned as a long is. */
 static void note_control(const struct control_head *head, const void *data, size_t size,
                          int64_t *stamp_ns, struct socket_counts *counts)
 {
@@ -42,7 +42,7 @@ static void note_control(const struct control_head *head, const void *data, size
         return;
     if (head->type == TYPE_STAMP && size >= sizeof(struct control_stamp)) {
         const struct control_stamp *stamp = data;
-        /* Wraps where the kernel says nonsense. */
+        /* Wraps if the kernel's numbers are nonsense. */
         *stamp_ns = (int64_t)((uint64_t)stamp->seconds * SECOND_NS + (uint64_t)stamp->nanoseconds);
     }
     if (head->type == TYPE_DROPS && size >= sizeof(uint32_t)) {
@@ -52,7 +52,7 @@ static void note_control(const struct control_head *head, const void *data, size
     }
 }
 
-/* Stamp of the kernel, ns; 0: none. Notes how many frames it has dropped. */
+/* The kernel's stamp, ns; 0: none. Counts the frames that the kernel has dropped. */
 static int64_t read_control(const struct socket_header *header, struct socket_counts *counts)
 {
     int64_t stamp_ns = 0;
@@ -83,7 +83,7 @@ static int frame_flags(const struct socket_frame *frame, int fd)
     return flags | FRAME_FD;
 }
 
-/* DLC of a classic frame whose data do not say it, else -1. */
+/* DLC of a classic frame if the number of its data bytes does not show it, else -1. */
 static int raw_dlc(const struct socket_frame *frame, int flags)
 {
     if (flags & (FRAME_FD | FRAME_ERROR))
@@ -96,7 +96,7 @@ static int raw_dlc(const struct socket_frame *frame, int flags)
     return length < MAX_DATA_CLASSIC ? length : MAX_DATA_CLASSIC;
 }
 
-/* Bytes of data of a frame. */
+/* Number of data bytes of a frame. */
 static int data_bytes(const struct socket_frame *frame, int flags)
 {
     const int most = flags & FRAME_FD ? PAYLOAD_BYTES : MAX_DATA_CLASSIC;
@@ -121,7 +121,7 @@ static void unpack_frame(const struct socket_frame *frame, int fd, const struct 
         out[k] = k < bytes ? frame->data[k] : 0;
 }
 
-/* How old a frame with this stamp of the kernel is, ns; of one without stamp 0. */
+/* Age of a frame with this stamp of the kernel, ns; 0 for a frame without a stamp. */
 static int64_t age(const struct socket_clock *clock, int64_t stamp_ns)
 {
     const int64_t ns = (int64_t)((uint64_t)clock->real_ns - (uint64_t)stamp_ns);

@@ -1,13 +1,13 @@
-/* Plain lines of text logs (ASC, TRC) to times, heads and data; dbc/logs/text.py decides on all others.
+/* Plain lines of text logs (ASC, TRC) to times, heads, data; dbc/logs/text.py handles all others.
  *
  *     line  = word* time word{n} (blank+ byte)* anything LF      byte = two hexadecimal digits
  *
- * A head is the n words between time and data, with what is between them: channel, identifier,
- * direction, length. The same ones come again and again, so Python looks at each of them once.
+ * A head is the n words between time and data, with the blanks between them: channel, identifier,
+ * direction, length. The same heads recur, so Python parses each of them only once.
  *
- * Each function that reads a part of a line returns the place behind it, NULL where the text is
- * something else. None can fail: no byte at or behind `end` is read, the table of heads is searched
- * TEXT_PROBES places far, and a time is checked before it is multiplied. */
+ * Each function that reads a part of a line returns the place after it, or NULL if the text is
+ * not such a part. None can fail: no byte at or after `end` is read, the search for a head
+ * ends after TEXT_PROBES places, and a time is checked before it is multiplied. */
 #include "dbc/text_read.h"
 
 #include <stddef.h>
@@ -37,7 +37,7 @@ static const uint8_t *skip_blanks(const uint8_t *at, const uint8_t *end)
     return at;
 }
 
-/* Behind a word that starts here; NULL where none does. */
+/* The place after a word that starts here; NULL if none does. */
 static const uint8_t *skip_word(const uint8_t *at, const uint8_t *end)
 {
     const uint8_t *first = at;
@@ -46,7 +46,7 @@ static const uint8_t *skip_word(const uint8_t *at, const uint8_t *end)
     return at > first ? at : NULL;
 }
 
-/* A decimal number of units, in ns: digits, and perhaps a point and up to nine more. */
+/* Read a decimal number of units, in ns: digits, and optionally a point and up to nine more. */
 static const uint8_t *read_time(const uint8_t *at, const uint8_t *end, int64_t unit_ns,
                                 int64_t *t_ns)
 {
@@ -69,7 +69,7 @@ static const uint8_t *read_time(const uint8_t *at, const uint8_t *end, int64_t u
     return at < end && is_blank(*at) ? at : NULL;
 }
 
-/* Place of a head in the table, where it is added if it is new; -1: there is no room. */
+/* Index of a head in the table, to which it is added if it is new; -1: there is no room. */
 static int32_t find_head(struct text_head *heads, const uint8_t *text, int64_t size)
 {
     if (size <= 0 || size > TEXT_MAX_HEAD)
@@ -92,7 +92,7 @@ static int32_t find_head(struct text_head *heads, const uint8_t *text, int64_t s
     return -1;
 }
 
-/* Bytes, each behind a blank; fills a row. Returns their number, at most PAYLOAD_BYTES. */
+/* Read bytes, each after a blank; fills a row. Returns their number, at most PAYLOAD_BYTES. */
 static uint8_t read_bytes(const uint8_t *at, const uint8_t *end, uint8_t *data)
 {
     int count = 0;
@@ -111,7 +111,7 @@ static uint8_t read_bytes(const uint8_t *at, const uint8_t *end, uint8_t *data)
     return (uint8_t)count;
 }
 
-/* One line, without its line end, into a row. Returns the place of its head, or -1. */
+/* Read one line, without its line end, into a row. Returns the index of its head, or -1. */
 static int32_t read_line(const uint8_t *at, const uint8_t *end, const struct text_shape *shape,
                          const struct frame_columns *frames, int64_t row, struct text_head *heads)
 {

@@ -1,30 +1,30 @@
-/* Acquisition: speed and angle from flux chords. It does not trust a filter, so it can judge one.
+/* Acquisition: speed and angle from flux chords. It uses no filter, so it can check one.
  *
  * In the stationary frame (complex alpha + j beta), over any interval with known volt-seconds,
  *     c_k = integral(u - R_s i) dt - L_s (i_k - i_(k-1)) = psi_f (e^(j theta_k) - e^(j theta_(k-1))),
- * the chord that the magnet flux has moved along (paper `adhesion`, eq. (11), integrated). Hence
+ * the chord along which the magnet flux has moved (paper `adhesion`, eq. (11), integrated). Hence
  *     |c_k| = 2 psi_f |sin(w dt / 2)|,  arg c_k = theta_mid + sign(w) pi / 2,
  *     arg(c_k conj(c_(k-1))) = w dt,
- * so speed, its sign and the angle follow from two chords, from any start, with nothing to converge
- * and no wrong answer that is stable. A filter started on a wrong angle can stay wrong (speed and
- * load of the wrong sign), with a NIS that depends on speed: no threshold on it works.
+ * so speed, its sign and the angle follow from two chords, from any start, without convergence
+ * and without a stable wrong solution. A filter started at a wrong angle can stay wrong (speed and
+ * load of the wrong sign), with a NIS that depends on the speed: no threshold on the NIS works.
  *
  * Pairs of consecutive chords feed exponentially forgotten means: S1 = <c_k conj(c_(k-1))>,
- * S0 = <|c|^2>, S2 = <S1>. arg S1 lags an acceleration by the memory, and arg(S1 conj S2) measures
- * that lag (double smoothing), so w follows a ramp without error.
+ * S0 = <|c|^2>, S2 = <S1>. During an acceleration arg S1 lags by the memory, and arg(S1 conj S2)
+ * measures that lag (double smoothing), so w follows a ramp without error.
  *
- * Chords last 2 ms, or what the speed allows where samples come faster: they begin with one sample
- * and are doubled while their length, which no alias can shorten there, leaves room, and halved
- * above TURN_LONG. Speeds of 5000 rad/s are then as good as 50.
+ * Chords last 2 ms, or as long as the speed allows if samples come faster: they begin with one
+ * sample, are doubled while their length, which no alias can shorten there, leaves room, and are
+ * halved above TURN_LONG. Speeds of 5000 rad/s are then measured as well as 50 rad/s.
  *
- * Limits. Below `w_off` the chord drowns in errors of R_s and voltage (R_s 20 % off at 25 A looks
- * like 7 rad/s on the bench motor): not observable, so not ready. Above ten sub-steps of the filter
- * per revolution its Euler step is too coarse. Turns above pi per sample alias: with 2 ms a speed of
- * 1571 rad/s and more reads as one of the other sign, and |sin| does not tell. The caller must know
- * that |w| dt < pi, as for any bus slower than two samples per revolution.
+ * Limits. Below `w_off` errors of R_s and voltage exceed the chord (R_s 20 % off at 25 A looks like
+ * 7 rad/s on the bench motor): the speed is not observable, so not ready. With fewer than ten
+ * sub-steps per revolution the filter's Euler step is too coarse. Turns above pi per sample alias:
+ * with 2 ms, 1571 rad/s and more read as a speed of the other sign; |sin| does not show it. The
+ * caller must ensure |w| dt < pi, as for any bus slower than two samples per revolution.
  *
  * No function here can fail: numbers beyond any motor are discarded before a sum, a mean that is
- * not finite is started anew, and each divisor is a duration, a constant of the motor, or checked. */
+ * not finite is restarted, and each divisor is a duration, a constant of the motor, or checked. */
 #include "estimators/acquisition.h"
 
 #include <math.h>
@@ -33,34 +33,34 @@
 #include "estimators/elementary.h"
 #include "estimators/vectors.h"
 
-/* Most sub-steps per chord: 2 ms; a longer sample is one by itself. */
+/* Most sub-steps per chord: 2 ms; a longer sample is a chord by itself. */
 static const int64_t CHORD_STEPS = 16;
-static const int64_t SETTLE_PAIRS = 4; /* pairs of a new length before it is judged */
+static const int64_t SETTLE_PAIRS = 4; /* pairs of a new length before the length is judged */
 static const double PI = 0x1.921fb54442d18p+1;
-static const double TURN_LONG = 1.5;    /* rad; a chord that turns more is halved */
-static const double TURN_SHORT = 0.9;   /* rad; one whose length allows no more is doubled */
+static const double TURN_LONG = 1.5;    /* rad; a chord that turns by more is halved */
+static const double TURN_SHORT = 0.9;   /* rad; a chord whose length allows no more is doubled */
 static const double FORGET = 0.92;      /* of S1, S2 and S0, per chord: memory of about 12 chords */
 static const double FORGET_ANGLE = 0.5; /* of the rotated mean of chords, per chord */
 static const double COHERENCE = 0.9;    /* least |S1| / S0; 0.99 at 20 rad/s with 1e-2 A^2 of noise,
                                          * about 0.5 for noise alone */
 static const double LENGTH_TOL = 0.35;  /* of |c|; R_s 20 % off at 20 rad/s makes 0.28 */
 static const double TURN_MAX = 2.5;     /* rad per chord: margin below the alias at pi */
-/* Largest turn per sub-step, rad: ten a revolution, 5000 rad/s at 125 us. The load of the Euler
+/* Largest turn per sub-step, rad: ten per revolution, 5000 rad/s at 125 us. The load of the Euler
  * model then reads 7 % high, 1 % at 3000 rad/s. */
 static const double STEP_TURN_MAX = 0.63;
-/* Chord durations without a new pair that end `ready`; shorter gaps only break a pair. */
+/* Chord durations without a new pair after which `ready` ends; shorter gaps only break a pair. */
 static const double HOLD = 10.0;
 
-/* Tolerances of a filter. With noise of 1e-2 A^2 the chords' own speed is up to 17 rad/s off around
- * 30 rad/s; the wrong sign differs by 40 or more wherever they are ready. When an acceleration sets
- * in at once the means are late for some 20 ms, 30 rad/s at 2500 rad/s^2. The angle is the sharp
- * test: it comes from the last two chords, and no wrong speed keeps it right. A filter 0.8 rad off
- * shows 30 % of torque too little; a wrong one is 2.45 rad off, parameter errors of 20 % make less
- * than half of the tolerance. */
+/* Tolerances of a filter. With noise of 1e-2 A^2 the speed by the chords is up to 17 rad/s off
+ * around 30 rad/s; the wrong sign differs by 40 or more wherever chords are ready. When an
+ * acceleration starts suddenly, the means are late for some 20 ms, 30 rad/s at 2500 rad/s^2. The
+ * angle is the sharp test: it comes from the last two chords, and no wrong speed keeps it right. A
+ * filter 0.8 rad off shows 30 % too little torque; a wrong one is 2.45 rad off, and parameter
+ * errors of 20 % make less than half of the tolerance. */
 static const double W_TOL = 20.0;          /* rad/s */
 static const double W_TOL_RELATIVE = 0.5;  /* of the chords' |w| */
 static const double THETA_TOL = 0.8;       /* rad */
-static const double STANDSTILL_TOL = 40.0; /* rad/s above what the chords' length allows */
+static const double STANDSTILL_TOL = 40.0; /* rad/s above what the length of the chords allows */
 
 void acquisition_restart(struct acquisition *drive)
 {
@@ -73,7 +73,7 @@ void acquisition_restart(struct acquisition *drive)
     };
 }
 
-/* No chord across a gap; the next one starts at the end of this sample, if it is plausible. */
+/* Break the chord at a gap; the next one starts at the end of this sample, if it is plausible. */
 static void break_chord(struct acquisition *a, int plausible, double _Complex i, double dt)
 {
     a->paired_steps = 0;
@@ -88,11 +88,11 @@ static void break_chord(struct acquisition *a, int plausible, double _Complex i,
         a->good = 0;
         a->pairs = 0;
         a->ready = 0;
-        a->stride = 1; /* the speed by now is unknown: from the shortest chord again */
+        a->stride = 1; /* the speed is now unknown: start from the shortest chord again */
     }
 }
 
-/* The means as chords of `ratio` (2 or 1/2) times the duration would have made them:
+/* Convert the means to those of chords of `ratio` (2 or 1/2) times the duration:
  * |c| = 2 psi |sin(turn / 2)|. */
 static void resize(struct acquisition *a, double ratio)
 {
@@ -107,11 +107,11 @@ static void resize(struct acquisition *a, double ratio)
     a->span *= ratio;
 }
 
-/* One more pair in the means; 0 if they are no longer finite. */
+/* Add one more pair to the means; 0 if they are no longer finite. */
 static int update_means(struct acquisition *a, double _Complex pair, double energy, double span)
 {
     if (a->ready && span != a->span) {
-        const double ratio = span / a->span; /* ready, so that a span above 0 is there */
+        const double ratio = span / a->span; /* ready, so that span is above 0 */
         if (ratio == 0.5 || ratio == 2.0)
             resize(a, ratio);
     }
@@ -134,10 +134,10 @@ static int update_means(struct acquisition *a, double _Complex pair, double ener
     return isfinite(a->S0 + size_of(a->S1) + size_of(a->S2));
 }
 
-/* What a pair of chords says. */
+/* Result of a pair of chords. */
 struct verdict {
-    double lagging, turn;            /* rad per chord, by the means; without their lag */
-    double lagging_chord, new_chord; /* chords of a circle of radius 1 that turns by these */
+    double lagging, turn;            /* rad per chord, by the means; the same without their lag */
+    double lagging_chord, new_chord; /* chords of a circle of radius 1 for these two turns */
     double coherence;                /* |S1| / S0 */
 };
 
@@ -149,15 +149,15 @@ static int is_plausible(const struct acquisition *a, const struct verdict *found
     const double expected = psi_f * found->lagging_chord;
     const double sudden = psi_f * found->new_chord;
     const double slowest = psi_f * w_off * a->span;
-    /* The means remember, the last chord does not: it must be long enough for a rotor that turns,
-     * and fit the speed, or a hard brake or a reversal slips through. */
+    /* The means have a memory, the last chord has none: it must be long enough for a rotor that
+     * turns, and fit the speed, otherwise a hard brake or a reversal is not detected. */
     return found->coherence >= COHERENCE && fabs(length - expected) <= LENGTH_TOL * expected &&
            fabs(found->turn) <= TURN_MAX && fabs(a->w) * dt <= STEP_TURN_MAX &&
            fabs(found->lagging) >= w_off * a->span && last >= (1.0 - LENGTH_TOL) * slowest &&
            fabs(last - sudden) <= LENGTH_TOL * sudden + slowest;
 }
 
-/* What the length of the chords says: spread, flux, largest speed. */
+/* Evaluate the length of the chords: spread, flux, largest speed. */
 static void judge_length(struct acquisition *a, const struct verdict *found, double psi_f)
 {
     /* The logarithm is of 1e-12 to 1, so that the root is of a number from 0 to 56. */
@@ -169,13 +169,13 @@ static void judge_length(struct acquisition *a, const struct verdict *found, dou
     a->w_max = s < 1.0 ? 2.0 / a->span * arc_sine : HUGE_VAL;
 }
 
-/* Angle and speed at the end of the last chord. */
+/* Update angle and speed at the end of the last chord. */
 static void follow_angle(struct acquisition *a, struct verdict *found, double _Complex before)
 {
     const double turn = found->turn;
     const double _Complex half = unit_vector(0.5 * turn);
     found->new_chord = 2.0 * fabs(cimag(half));
-    /* After a gap the mean is older than one chord: begin with the chord before this one. */
+    /* After a gap the mean is older than one chord: start from the chord before this one. */
     const double _Complex older = a->age < 1.5 * a->span ? a->turned_sum : before;
     a->turned_sum = FORGET_ANGLE * (older * half * half) + a->chord;
     const double quarter = turn >= 0.0 ? 0.5 * PI : -0.5 * PI;
@@ -184,11 +184,11 @@ static void follow_angle(struct acquisition *a, struct verdict *found, double _C
     a->age = 0.0;
 }
 
-/* A pair of consecutive chords of equal duration: means, speed, angle, ready. */
+/* Process a pair of consecutive chords of equal duration: means, speed, angle, ready. */
 static void add_pair(const struct pmsm *motor, struct acquisition *a, double _Complex before,
                      const struct acquisition_limits *limits, double dt)
 {
-    const double span = (double)a->paired_steps * dt; /* a chord has one step or more */
+    const double span = (double)a->paired_steps * dt; /* a chord has at least one step */
     const double _Complex pair = a->chord * conj(before);
     const double energy = 0.5 * (square_of(a->chord) + square_of(before));
     if (!update_means(a, pair, energy, span)) {
@@ -212,8 +212,8 @@ static void add_pair(const struct pmsm *motor, struct acquisition *a, double _Co
         a->ready = 1;
 }
 
-/* The duration of the next chord by the turn of the last one, of which the last sample is one part
- * of `steps` sub-steps. */
+/* Choose the duration of the next chord by the turn of the last one; the last sample is one part of
+ * it, of `steps` sub-steps. */
 static void choose_stride(struct acquisition *a, int64_t steps)
 {
     if (a->pairs < SETTLE_PAIRS)
@@ -229,7 +229,7 @@ static void add_sample(const struct filter_sample *sample, const struct pmsm *mo
                        struct acquisition *a, const struct acquisition_limits *limits, double dt)
 {
     const double tau = (double)sample->steps * dt, gap = (double)sample->gap * dt;
-    const int plausible = size_of(sample->i) + size_of(sample->u) < IMPLAUSIBLE; /* NaN is not */
+    const int plausible = size_of(sample->i) + size_of(sample->u) < IMPLAUSIBLE; /* false for NaN */
     a->age += gap + tau;
     if (!plausible || a->steps < 0 || gap > 0.0) {
         break_chord(a, plausible, sample->i, dt);

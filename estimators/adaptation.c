@@ -1,15 +1,15 @@
-/* The noise of the sensors and the error of the motor's data, learnt while the filter runs.
+/* Noise of the sensors and errors of the motor's data, learnt while the filter runs.
  *
- * A filter with an R that is too small passes the noise of its sensors on to the load, five times
- * what it need be at fifty times the variance. The normalised innovation squared (NIS) of m = 2
- * currents has the mean 2 where R is right; R is scaled until it has.
+ * A filter with an R that is too small passes the noise of its sensors on to the load: five times
+ * the necessary noise at fifty times the variance. The normalised innovation squared (NIS) of m = 2
+ * currents has the mean 2 if R is right; R is scaled until it has.
  *
  * If R_s or psi_f differ from the data sheet, a voltage along q is missing (errors of R_s i_q and
  * psi_f w_e). The filter compensates with a constant error of its speed, while its angle follows the
- * rotor: innovations, load and speed are biased, and jump at every gap. The chords' speed is that of
- * a turning vector, whatever its length; what the filter's speed exceeds it by is a voltage
- * psi_f (w - w_chord), which is integrated into `v_q_bias`. (The innovations do not tell: they are
- * zero where they move the load, not where the voltage is missing.) Neither in paper `adhesion`.
+ * rotor: innovations, load and speed are biased, and jump at every gap. The chords' speed is that
+ * of a turning vector, whatever its length; the filter's excess over it gives the voltage
+ * psi_f (w - w_chord), which is integrated into `v_q_bias`. (The innovations do not show it: they
+ * are zero if they change the load, not if the voltage is missing.) Neither is in paper `adhesion`.
  *
  * No function here can fail: every divisor is at least a constant above 0, and results are clamped. */
 #include "estimators/adaptation.h"
@@ -20,16 +20,16 @@
 #include "estimators/numbers.h"
 
 static const double R_TAU_S = 0.5;
-/* A new filter learns faster: with the time that has passed since its start, divided by four. */
+/* A new filter learns faster: with a quarter of the time since its start. */
 static const double R_TAU_FIRST_S = 0.03;
-static const double R_SCALE_MAX = 400.0; /* more is a fault, not noise */
-static const double NIS_MAX = 8.0; /* counts as at most this: a loss that sets in is no noise */
+static const double R_SCALE_MAX = 400.0; /* a larger factor means a fault, not noise */
+static const double NIS_MAX = 8.0; /* largest NIS that counts: a loss that begins is no noise */
 static const double NIS_EXPECTED = 2.0;   /* mean of a chi-squared of two degrees of freedom */
-static const double NIS_SMOOTHING = 0.2;  /* share of the newest in `nis` */
-static const double Q_TAU_S = 0.5;        /* of v_q_bias; */
-static const double Q_TAU_FIRST_S = 0.15; /* at the start, faster likewise */
-static const double RESISTANCE_MAX = 0.3; /* relative errors of R_s and */
-static const double FLUX_MAX = 0.2;       /* of psi_f that are taken for possible */
+static const double NIS_SMOOTHING = 0.2;  /* weight of the newest value in `nis` */
+static const double Q_TAU_S = 0.5;        /* of v_q_bias, */
+static const double Q_TAU_FIRST_S = 0.15; /* and at the start, faster likewise */
+static const double RESISTANCE_MAX = 0.3; /* largest possible relative errors of R_s */
+static const double FLUX_MAX = 0.2;       /* and of psi_f */
 
 double adapt_r(double r_scale, double nis, double dt, double age)
 {

@@ -1,50 +1,50 @@
-/* Offsets and unlike gains of the current sensors, learnt while the rotor turns.
+/* Offsets and gain mismatch of the current sensors, learnt while the rotor turns.
  *
- * In healthy steady state the currents are one vector that turns, i = I e^(j theta) in the stationary
- * frame (complex alpha + j beta). Sensors make of it, to first order in their errors,
+ * In healthy steady state the currents are one rotating vector, i = I e^(j theta) in the stationary
+ * frame (complex alpha + j beta). To first order in their errors, the sensors measure
  *     z = i + n conj(i) + o        o: offset; n: image, from gains that differ between the phases
- * (the gain that all have in common shows nowhere but in the load, whose ratio is learnt). Over whole
+ * (a gain error common to all phases shows only in the load, whose ratio is learnt). Over full
  * revolutions i, i^2 and conj(i) have the mean zero, so
  *     o = <z>,   n = (<z^2> - o^2) / (2 (<|z|^2> - |o|^2)).
  * The means are weighted by a triangle over two revolutions, so that a current that grows or fades
- * evenly leaves nothing. Two revolutions count if their mean squares agree: a step of the load would
- * look like an offset. Errors larger than those of sensors are not learnt: an open phase is a fault,
- * not a gain. With two sensors (CAN FD), gains d apart make |n| = d / sqrt(3); left as it is, the load
- * ripples with twice the electrical frequency. Not in paper `adhesion`.
+ * linearly has no effect. Two revolutions count if their mean squares agree: a step of the load
+ * would look like an offset. Errors larger than those of sensors are not learnt: an open phase is
+ * a fault, no gain error. With two sensors (CAN FD), gains d apart make |n| = d / sqrt(3);
+ * uncorrected, the load ripples with twice the electrical frequency. Not in paper `adhesion`.
  *
- * With a phase open the current swings on one line: <z^2 / |z|^2> has the length 1, not 0. That needs
- * no model and few samples per revolution: it is judged where the filters do not reach, too.
+ * With an open phase the current oscillates on one line: |<z^2 / |z|^2>| is 1, not 0. This needs no
+ * model and few samples per revolution, so it is also checked at speeds that filters do not reach.
  *
- * No function here can fail: no sum takes a number beyond any motor, and each divisor is a constant
- * or says why it is above 0. */
+ * No function here can fail: sums take no number beyond any motor, and each divisor is a constant
+ * or has a comment that shows why it is above 0. */
 #include "estimators/current_calibration.h"
 
 #include <math.h>
 
 #include "estimators/vectors.h"
 
-enum { REVOLUTIONS = 16 }; /* memory in the long run; a mean until then */
+enum { REVOLUTIONS = 16 }; /* memory in the long run; until then a plain mean */
 static const double TWO_PI = 0x1.921fb54442d18p+2;
 static const double STEP_MAX = 0.63;   /* rad between two samples: ten a revolution */
-static const double STEADY = 0.1;      /* relative change of the mean square of two revolutions */
-static const double LEAST = 0.2;       /* of rated current: with less, noise hides the image */
+static const double STEADY = 0.1;      /* relative change of the mean square in a revolution */
+static const double LEAST = 0.2;       /* of rated current; with less, noise hides the image */
 static const double OFFSET_MAX = 0.05; /* of rated current; more is a fault */
-static const double IMAGE_MAX = 0.08;  /* likewise */
+static const double IMAGE_MAX = 0.08;  /* larger is a fault, too */
 static const double VARIANCE_MIN =
     0.5;                            /* of the mean square; the rest is an offset, whose square is
                                          * less than a tenth where it may be learnt */
 static const double APPLY_S = 0.05; /* what is applied follows what is learnt: a step would look
                                          * like one of the load */
 
-static const double LINE_S = 0.012;  /* time constant of the mean that tells a line from a circle */
-static const double LINE_TURN = 3.0; /* least angle, rad, that the rotor turns within that */
-static const double LINE_STEP = 2.5; /* rad between two samples; at pi all lie on one line */
-static const double LINE_LEAST = 0.1; /* of rated current; offsets draw a line from less */
-static const double ON_LINE = 0.5;  /* mean of e^(2j angle): 1 on a line, 1/6 at most if it turns */
-static const double OFF_LINE = 0.3; /* the current turns again */
-static const double ENOUGH = 0.75;  /* share of samples with a current to judge by */
+static const double LINE_S = 0.012;   /* time constant of the mean by which a line shows */
+static const double LINE_TURN = 3.0;  /* least angle, rad, that the rotor turns in that time */
+static const double LINE_STEP = 2.5;  /* rad between two samples; at pi all lie on a line */
+static const double LINE_LEAST = 0.1; /* of rated current; with less, offsets form a line */
+static const double ON_LINE = 0.5;  /* mean of e^(2j angle): 1 on a line, at most 1/6 if it turns */
+static const double OFF_LINE = 0.3; /* below this the current turns again */
+static const double ENOUGH = 0.75;  /* share of samples with enough current for a decision */
 
-/* The current without the errors that are known. */
+/* The current corrected by the known errors. */
 static double _Complex corrected(struct current_calibration *c, double _Complex z, double passed)
 {
     const double near = fmin(passed / APPLY_S, 1.0);
@@ -55,7 +55,7 @@ static double _Complex corrected(struct current_calibration *c, double _Complex 
     return (centred - n * conj(centred)) / (1.0 - square_of(n)); /* |n| <= IMAGE_MAX */
 }
 
-/* Does the current turn, or swing on one line? Small currents count less. */
+/* Update the measure of whether the current turns or stays on a line. Small currents count less. */
 static void update_ellipticity(struct current_calibration *c, double _Complex z, double passed,
                                double least)
 {
@@ -89,7 +89,7 @@ static void add_angle(struct current_calibration *c, double _Complex z, double a
     add_to(&c->sum_ramp, z, ramp);
 }
 
-/* Learn from this revolution and the one before, if both are whole and alike. */
+/* Learn from this revolution and the one before, if both are complete and alike. */
 static void finish_revolution(struct current_calibration *c, double I_rated)
 {
     const struct revolution_sums *up = &c->ramp_before, *all = &c->sum_uniform,
@@ -104,7 +104,7 @@ static void finish_revolution(struct current_calibration *c, double I_rated)
     const double _Complex z2 = (up->z2 + all->z2 - down->z2) / TWO_PI;
     const double abs2 = (up->abs2 + all->abs2 - down->abs2) / TWO_PI;
     const double variance = abs2 - square_of(o);
-    /* A current that has not turned has none, to within the rounding of the sums: held samples. */
+    /* A current that has not turned has none, except for rounding of the sums: held samples. */
     if (!(variance > VARIANCE_MIN * abs2))
         return;
     const double _Complex n = 0.5 * (z2 - o * o) / variance; /* above half of a mean square */
@@ -115,7 +115,7 @@ static void finish_revolution(struct current_calibration *c, double I_rated)
     c->image += (n - c->image) / (double)c->turns;
 }
 
-/* Learn from a sample during which the rotor turned by `step` rad; 0: not known, or not whole. */
+/* Learn from a sample in which the rotor turned by `step` rad; 0: not known, or not complete. */
 static void learn(struct current_calibration *c, double _Complex z, double step, double I_rated)
 {
     if (!(0.0 < step && step <= STEP_MAX)) {
@@ -141,7 +141,7 @@ void calibrate_currents(struct filter_sample *samples, int m, struct current_cal
         const int64_t d = sample->drive;
         const double _Complex z = sample->i;
         const double tau = (double)sample->steps * dt;
-        const int plausible = size_of(z) < IMPLAUSIBLE; /* NaN is not */
+        const int plausible = size_of(z) < IMPLAUSIBLE; /* false for NaN */
         sample->i = corrected(&drives[d], z, tau);
         if (plausible) {
             const double passed = (double)(sample->steps + sample->gap) * dt;

@@ -1,7 +1,7 @@
 /* exp, log, erfc and log Gamma by polynomials: the same bits on every machine.
  *
- * libm's differ in the last bit from one machine to the next, and what decides a flag must not.
- * `tests/unit/test_elementary.py` holds the error bounds in the header against exact values. */
+ * The last bit of libm's results differs between machines, and a flag must not depend on that.
+ * `tests/unit/test_elementary.py` checks the error bounds in the header against exact values. */
 #include "estimators/elementary.h"
 
 #include <math.h>

@@ -2,14 +2,14 @@
 #ifndef TRACTION_ELEMENTARY_H
 #define TRACTION_ELEMENTARY_H
 
-/* e^x, relative error below 4e-16; 0 below -708, infinite above 709; NaN of NaN. */
+/* e^x, relative error below 4e-16; 0 below -708, infinite above 709; NaN for NaN. */
 double elementary_exp(double x);
 
 /* Natural logarithm, error below 4e-16 of the larger of the result and 1; x must be above 0, or the
- * result is -infinite. NaN of NaN. */
+ * result is -infinite. NaN for NaN. */
 double elementary_log(double x);
 
-/* Complementary error function, relative error below 2e-14 where the result is above 1e-30; NaN of
+/* Complementary error function, relative error below 2e-14 if the result is above 1e-30; NaN for
  * NaN. */
 double elementary_erfc(double x);
 

@@ -1,6 +1,6 @@
-/* exp, log and log Gamma of lanes: by the series of elementary.c, in another order. Not for cffi.
+/* exp, log and log Gamma of lanes: the series of elementary.c, in another order. Not for cffi.
  *
- * Nothing here can fail: bits are moved, never indices; a divisor of 0 gives infinity. */
+ * Nothing here can fail: bits are shifted, never used as indices; a divisor of 0 gives infinity. */
 #ifndef TRACTION_ELEMENTARY_LANES_H
 #define TRACTION_ELEMENTARY_LANES_H
 
@@ -9,7 +9,7 @@
 
 enum { EXPONENT_BIAS = 1023, MANTISSA_BITS = 52 };
 
-/* e^x, x at most HIGHEST; 0 below -708; NaN of NaN. */
+/* e^x, x at most HIGHEST; 0 below -708; NaN for NaN. */
 static inline vec exp_lanes(vec x)
 {
     const mask too_low = x < LOWEST;
@@ -28,7 +28,7 @@ static inline vec exp_lanes(vec x)
     return select(too_low, broadcast(0.0), (even + r * odd) * power);
 }
 
-/* Natural logarithm; -infinite of what is below 2^-1022, 0 and less; NaN of infinity and NaN. */
+/* Natural logarithm; -infinite below 2^-1022, also for 0 and less; NaN for infinity and NaN. */
 static inline vec log_lanes(vec x)
 {
     const bits root_half = (bits)broadcast(0x1.6a09e667f3bcdp-1);
@@ -48,17 +48,17 @@ static inline vec log_lanes(vec x)
     }
     const vec sum = s2 * (even * s4 + ODD[0] + s2 * odd);
     const vec log_x = k * LN2_HIGH + (2.0 * s + (2.0 * s * sum + k * LN2_LOW));
-    const vec none = x * 0.0; /* NaN of infinity and NaN */
+    const vec none = x * 0.0; /* NaN for infinity and NaN */
     return select(x < 0x1p-1022, broadcast(-HUGE_VAL), log_x) + none;
 }
 
-/* How often 1 must be added to what is not below `least` until it is 10 or more: 10 times at most. */
+/* How often 1 must be added to a number from `least` on to reach 10 or more: at most 10 times. */
 static inline int steps_to_ten(double least)
 {
     return least >= 0.0 && least < 10.0 ? 10 - (int)least : 0;
 }
 
-/* x + steps. */
+/* x after `steps` additions of 1. */
 struct shifted {
     vec x;
     vec product; /* x (x + 1) .. (x + steps - 1) */

@@ -1,4 +1,4 @@
-/* The series of exp, log and log Gamma, once for numbers and for lanes. Not for cffi. */
+/* The series of exp, log and log Gamma, shared by numbers and lanes. Not for cffi. */
 #ifndef TRACTION_ELEMENTARY_TERMS_H
 #define TRACTION_ELEMENTARY_TERMS_H
 

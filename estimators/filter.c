@@ -1,9 +1,9 @@
-/* Which build of the filters runs: the widest registers that the processor has, and drives fill. */
+/* Selection of the filters' build: the widest registers that the processor has and drives fill. */
 #include "estimators/filter.h"
 
 #include "estimators/filter_simd.h"
 
-enum { FEW = 4 }; /* drives that registers of 256 bits hold: wider ones are slower then */
+enum { FEW = 4 }; /* drives that 256 bits hold: for so few, wider registers are slower */
 
 #if defined(__x86_64__)
 #include <cpuid.h>
@@ -11,7 +11,7 @@ enum { FEW = 4 }; /* drives that registers of 256 bits hold: wider ones are slow
 
 static filter_run_function *const BUILDS[] = {filter_run_128, filter_run_256, filter_run_512};
 
-/* What the operating system saves of a thread: register XCR0. */
+/* Registers of a thread that the operating system saves: register XCR0. */
 static uint32_t saved_registers(void)
 {
     uint32_t low, high;
@@ -26,7 +26,7 @@ static int find_widest(void)
     uint32_t a, b, c, d;
     __cpuid(1, a, b, c, d);
     const uint32_t osxsave = 1u << 27;
-    if (!(c & osxsave)) /* another processor */
+    if (!(c & osxsave)) /* not supported */
         return 0;
     const uint32_t saved = saved_registers();
     __cpuid_count(7, 0, a, b, c, d);
@@ -51,7 +51,7 @@ void filter_run(struct filter_sample *samples, int m, const struct pmsm *motors,
                 const struct filter_noise *noise, struct filter *filters, int n,
                 const struct filter_settings *settings)
 {
-    const int too_wide = widest / 2 * (n <= FEW); /* 1 with 512 bits for few */
+    const int too_wide = widest / 2 * (n <= FEW); /* 1 with 512 bits for few drives */
     BUILDS[widest - too_wide](samples, m, motors, noise, filters, n, settings);
 }
 

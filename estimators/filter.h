@@ -7,17 +7,17 @@
 /* Run the filters of n drives over m samples, in order of time; motors, noise and filters by drive.
  * Changes x and P of the filters, and `nis` of the samples. A filter whose result is not finite, or
  * has a negative variance, gets is_finite 0 and keeps its last good state; the rest of its samples is
- * skipped, with nis NaN: start it anew. */
+ * skipped, with nis NaN: it must be started anew. */
 void filter_run(struct filter_sample *samples, int m, const struct pmsm *motors,
                 const struct filter_noise *noise, struct filter *filters, int n,
                 const struct filter_settings *settings);
 
-/* The same with registers of 128, 256 or 512 bits; -1, and nothing done, where there are none. */
+/* The same with registers of 128, 256 or 512 bits; -1, with nothing done, if there are none. */
 int filter_run_with(int bits, struct filter_sample *samples, int m, const struct pmsm *motors,
                     const struct filter_noise *noise, struct filter *filters, int n,
                     const struct filter_settings *settings);
 
-/* No filter of this drive any more; it is to be acquired anew. `v_q_bias` stays. */
+/* Remove the filter of this drive; it has to be acquired anew. `v_q_bias` stays. */
 void filter_reset(struct filter *filter);
 
 #endif

@@ -1,16 +1,16 @@
 /* Extended and unscented Kalman filter of several drives at once: paper `adhesion`, eq. (11)-(13).
  *
- * Drives are independent and do the same arithmetic, so one instruction serves SIMD_WIDTH of them, a
+ * Drives are independent and do the same arithmetic: one instruction serves SIMD_WIDTH drives, one
  * lane each. This file is compiled once per instruction set (filter_simd_avx2.c, filter_simd_avx512.c
  * and itself); every build gives the same bits, as no product is fused with a sum and no sum crosses
- * lanes. x = [i_alpha, i_beta, w_e, theta_e, T_L]; P by its upper triangle, row by row.
+ * lanes. x = [i_alpha, i_beta, w_e, theta_e, T_L]; P is its upper triangle, row by row.
  *
- * No function here can fail. Divisors are constants of the motor, or 0 and NaN come out and the lane
- * is not committed: a filter whose result is not finite, or has a negative variance, keeps its last
- * good state. Indices are bounded by the lanes, or are links made here.
+ * No function here can fail. Divisors are constants of the motor; a divisor of 0 or NaN gives a
+ * lane that is not committed: a filter whose result is not finite, or has a negative variance,
+ * keeps its last good state. Indices are bounded by the lanes, or are links made here.
  *
- * Longer than other files, as each build of it is one translation unit: what the filters share is held
- * inline, so that no lane goes through memory between two functions. */
+ * Longer than other files, because each build is one translation unit: shared functions of the
+ * filters are inline, so that no lane goes through memory between two functions. */
 #include "estimators/filter_simd.h"
 
 #include <complex.h>
@@ -27,9 +27,9 @@
 enum { STATES = 5, TRIANGLE = 15 };
 
 static const double TWO_PI = 0x1.921fb54442d18p+2;
-static const double TURN_MAX = 1.4; /* half the turn of a voltage, rad, up to which it is one */
+static const double TURN_MAX = 1.4; /* half a sample's turn, rad, up to which a voltage turns */
 static const double FLOOR = 1e-12;  /* least variance */
-static const double REPAIR = 1e-6;  /* relative rise of the variances of a P without a factor */
+static const double REPAIR = 1e-6;  /* relative increase of the variances of a P without a factor */
 
 /* x, and the upper triangle of P, row by row. */
 struct state {
@@ -49,8 +49,8 @@ struct block {
     vec cos_v, sin_v;           /* its turn from one sub-step to the next */
     vec sin, cos;               /* of theta_e, before a sub-step of the EKF */
     vec nis;
-    vec kappa_J, p_J, B_J; /* k_p p^2 psi_f / J, p / J, B / J: of the prediction over a gap */
-    mask has_root;         /* every P has had a factor */
+    vec kappa_J, p_J, B_J; /* k_p p^2 psi_f / J, p / J, B / J: for the prediction over a gap */
+    mask has_root;         /* every P has had a Cholesky factor */
 };
 
 static inline vec wrap(vec angle)
@@ -59,9 +59,9 @@ static inline vec wrap(vec angle)
     return angle - TWO_PI * turns;
 }
 
-/* The voltage of the first sub-step, and how it turns.
+/* The voltage of the first sub-step, and its turn per sub-step.
  *
- * An inverter's voltage turns with the rotor, and what is known is its mean u over n sub-steps:
+ * The voltage of an inverter turns with the rotor, but only its mean u over n sub-steps is known:
  * u_j = u n sin(h) / sin(n h) exp(i 2 h (j - (n - 1) / 2)), h = w dt / 2, where |n h| <= TURN_MAX. */
 static inline void turn_voltage(struct block *s, int64_t n_sub, double dt)
 {
@@ -109,8 +109,8 @@ static inline void propagate(struct block *s, vec sin, vec cos, double dt)
 }
 
 /* EKF, one sub-step: P <- F P F' + Q with F of eq. (13), its entries other than 0 and 1 written out;
- * m is F P. The angle after it is known before P is, and so are its sine and cosine, for which P does
- * not wait then; `last`: nobody asks for them. */
+ * m is F P. The angle after the sub-step is known before P, and so are its sine and cosine, so that
+ * they do not wait for P; `last`: they are not needed. */
 static inline void predict_extended(struct block *s, double dt, int last)
 {
     const vec a = s->a, b = s->b, e = s->e, f22 = s->d, f24 = s->f, *Q = s->Q;
@@ -165,7 +165,7 @@ static inline void predict_extended(struct block *s, double dt, int last)
 /* Lower Cholesky factor of P, its columns one after the other; of the variances `diagonal`. */
 struct factor {
     vec l00, l10, l20, l30, l40, l11, l21, l31, l41, l22, l32, l42, l33, l43, l44;
-    mask good; /* every pivot is above 0 */
+    mask good; /* 1 if every pivot is above 0 */
 };
 
 static inline vec pivot(vec value, mask *good)
@@ -180,7 +180,7 @@ static inline struct factor factor_of(const vec *P, const vec *diagonal)
     struct factor l;
     l.good = ~(mask){0};
     l.l00 = pivot(diagonal[0], &l.good);
-    const vec r0 = 1.0 / l.l00; /* a root above 0, as those below */
+    const vec r0 = 1.0 / l.l00; /* a root above 0, as are those below */
     l.l10 = P[1] * r0;
     l.l20 = P[2] * r0;
     l.l30 = P[3] * r0;
@@ -202,7 +202,7 @@ static inline struct factor factor_of(const vec *P, const vec *diagonal)
     return l;
 }
 
-/* The factor; where P has none, once more with its variances raised, if that is to be `repaired`. */
+/* The factor; if P has none and `repaired` is set, that of P with increased variances. */
 static inline struct factor factor_or_repair(struct block *s, int repaired)
 {
     const vec *P = s->now.P;
@@ -222,8 +222,8 @@ static inline struct factor factor_or_repair(struct block *s, int repaired)
     return second;
 }
 
-/* Odd part o and even part ev of what a pair of sigma points, +-(d_a, d_b, d_w, d_t, d_l) off the mean,
- * is mapped to: the deviations from the image of the mean are ev + o and ev - o. */
+/* Odd part o and even part ev of the image of a pair of sigma points, +-(d_a, d_b, d_w, d_t, d_l)
+ * off the mean: the deviations from the image of the mean are ev + o and ev - o. */
 struct pair {
     vec o_a, o_b, o_w, ev_a, ev_b, ev_w;
 };
@@ -247,15 +247,15 @@ static inline struct pair pair_of(const struct block *s, vec sin, vec cos, vec d
     };
 }
 
-/* What the five pairs of sigma points make of a sub-step; angle and load are linear. */
+/* Images of the five pairs of sigma points after a sub-step; angle and load are linear. */
 struct points {
     struct pair q[4];
-    vec o_w4, o_t[4], o_l[5]; /* o_w4: of the fifth */
+    vec o_w4, o_t[4], o_l[5]; /* o_w4: of the fifth pair */
 };
 
-/* Mean's shift (s_a, s_b, s_w, 0, 0) and P of the points: with s the shift, a pair gives
+/* Mean's shift (s_a, s_b, s_w, 0, 0) and P of the points: with the shift s, a pair gives
  *     (ev + o - s)(ev + o - s)' + (ev - o - s)(ev - o - s)' = 2 (o o' + (ev - s)(ev - s)').
- * The fifth pair moves the load alone: its ev is zero. */
+ * The fifth pair moves only the load: its ev is zero. */
 static inline void merge_points(struct block *s, const struct points *points, double kappa,
                                 vec *shift)
 {
@@ -338,7 +338,7 @@ static inline void predict_unscented(struct block *s, double dt, double kappa, i
         s->now.x[i] += shift[i];
 }
 
-/* P <- F P F' + N, of the lanes chosen. */
+/* P <- F P F' + N, for the selected lanes. */
 static void transform(vec *P, vec F[STATES][STATES], const vec *N, mask chosen)
 {
     vec full[STATES][STATES], M[STATES][STATES];
@@ -360,10 +360,10 @@ static void transform(vec *P, vec F[STATES][STATES], const vec *N, mask chosen)
         }
 }
 
-/* Where samples are missing: torque and acceleration stay as they were for tau = gap dt, of which the
- * voltage is not known. An unknown current of variance `coast` has made torque meanwhile, which is in
- * speed and angle, and is in the currents at the end, so that the next sample sets them and nothing
- * else. Lanes without a gap stay as they are. */
+/* Predict over missing samples: torque and acceleration stay constant for tau = gap dt, in which
+ * the voltage is not known. An unknown current of variance `coast` has made torque meanwhile, which
+ * is in speed and angle, and is in the currents at the end, so that the next sample sets only them.
+ * Lanes without a gap do not change. */
 static void predict_gap(struct block *s, vec gap, double dt)
 {
     const vec tau = gap * dt, half = 0.5 * tau * tau, k = s->kappa_J;
@@ -405,7 +405,7 @@ static void predict_gap(struct block *s, vec gap, double dt)
     transform(s->now.P, F, N, has_gap);
 }
 
-/* K = P H' S^-1, eq. (8), H the first two states; and S^-1. */
+/* K = P H' S^-1, eq. (8), where H selects the first two states; and S^-1. */
 struct gain {
     vec k00, k01, k10, k11, k20, k21, k30, k31, k40, k41;
     vec i00, i01, i11;
@@ -447,7 +447,7 @@ static inline void correct_covariance(vec *P, const vec *R, const struct gain *g
     const vec p00 = P[0], p01 = P[1], p02 = P[2], p03 = P[3], p04 = P[4];
     const vec p11 = P[5], p12 = P[6], p13 = P[7], p14 = P[8];
 
-    /* W = (I - K H) P; then less its first two columns times K', plus K R K'. */
+    /* W = (I - K H) P; then minus its first two columns times K', plus K R K'. */
     const vec w00 = p00 - k00 * p00 - k01 * p01, w01 = p01 - k00 * p01 - k01 * p11;
     const vec w02 = p02 - k00 * p02 - k01 * p12, w03 = p03 - k00 * p03 - k01 * p13;
     const vec w04 = p04 - k00 * p04 - k01 * p14;
@@ -482,7 +482,7 @@ static inline void correct_covariance(vec *P, const vec *R, const struct gain *g
     P[14] = w44 + a40 * k40 + a41 * k41;
 }
 
-/* x, P <- by the currents y; gives the lanes whose result is finite, with no variance below 0. */
+/* Update x, P by the currents y; returns lanes with a finite result and no variance below 0. */
 static inline mask correct(struct block *s)
 {
     vec *P = s->now.P, *x = s->now.x;
@@ -496,7 +496,7 @@ static inline mask correct(struct block *s)
     x[3] = wrap(x[3] + g.k30 * nu0 + g.k31 * nu1);
     x[4] += g.k40 * nu0 + g.k41 * nu1;
 
-    /* NaN and infinity survive any sum. */
+    /* A sum is NaN or infinite if a term is. */
     vec total = ((x[0] + x[1]) + (x[2] + x[3])) + x[4];
     for (int row = 0; row < TRIANGLE; row++)
         total += P[row];
@@ -509,7 +509,7 @@ static inline mask correct(struct block *s)
     return good;
 }
 
-/* The state of a drive, and its noise, into lane k. */
+/* Copy the state of a drive, and its noise, into lane k. */
 static inline void load_lane(struct block *s, int k, const struct filter_noise *noise,
                              const struct filter *filter)
 {
@@ -559,16 +559,16 @@ static inline void store_lane(const struct block *s, int k, struct filter *filte
     }
 }
 
-/* What the lanes of a block do next. */
+/* Work of the lanes of a block in the next round. */
 struct round {
     int64_t next[LANES]; /* index of the lane's next sample; -1: none */
-    mask wanted;         /* its sample is of this round */
+    mask wanted;         /* the lane's sample is of this round */
     vec gap;             /* sub-steps missing before it */
-    int64_t steps;       /* sub-steps of all samples of this round; 0: there is none */
+    int64_t steps;       /* sub-steps of all samples of this round; 0: there are none */
     int has_gap;
 };
 
-/* The samples that can be done together: of as many sub-steps as the first. */
+/* Select the samples that can be processed together: those with as many sub-steps as the first. */
 static inline void load_samples(struct block *s, struct round *round,
                                 const struct filter_sample *samples)
 {
@@ -594,7 +594,7 @@ static inline void load_samples(struct block *s, struct round *round,
     }
 }
 
-/* One sample of every lane; gives those whose state is good. */
+/* Process one sample of every lane; returns the lanes whose state is good. */
 static inline mask run_lanes(struct block *s, const struct round *round,
                              const struct filter_settings *settings, int repaired)
 {
@@ -614,7 +614,7 @@ static inline mask run_lanes(struct block *s, const struct round *round,
     return correct(s);
 }
 
-/* The lanes of a round that are good and new; all others stay as they were. */
+/* Copy the lanes of a round that are good and new; all others keep their state. */
 static inline mask filter_round(struct block *s, const struct round *round,
                                 const struct filter_settings *settings)
 {
@@ -634,7 +634,7 @@ static inline mask filter_round(struct block *s, const struct round *round,
     return good;
 }
 
-/* All samples of up to LANES drives. */
+/* Process all samples of up to LANES drives. */
 static void filter_block(struct filter_sample *samples, const struct pmsm *motors,
                          const struct filter_noise *noise, struct filter *filters, int drives,
                          const struct filter_settings *settings)
@@ -647,7 +647,7 @@ static void filter_block(struct filter_sample *samples, const struct pmsm *motor
         load_lane(&s, k, &noise[d], &filters[d]);
         round.next[k] = k < drives ? filters[k].first_sample : -1;
     }
-    /* Every round takes a sample off a list, so it ends. */
+    /* Every round removes a sample from a list, so the loop ends. */
     for (load_samples(&s, &round, samples); round.steps > 0; load_samples(&s, &round, samples)) {
         const mask good = filter_round(&s, &round, settings);
         for (int k = 0; k < LANES; k++) {

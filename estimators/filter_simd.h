@@ -1,4 +1,4 @@
-/* The builds of filter_simd.c; the registers' bits are in their names. All give the same results. */
+/* Builds of filter_simd.c, named after the bits of their registers. All give the same results. */
 #ifndef TRACTION_FILTER_SIMD_H
 #define TRACTION_FILTER_SIMD_H
 

@@ -1,7 +1,7 @@
-/* Numbers of SIMD_WIDTH lanes, which do the same arithmetic at once. Not for cffi.
+/* Vectors of SIMD_WIDTH lanes, which do the same arithmetic at once. Not for cffi.
  *
- * Every lane has the bits that it would have alone: no product is fused with a sum, no sum crosses
- * lanes. SIMD_WIDTH, of one register, is defined by who includes this. */
+ * Every lane has the same bits as if it were alone: no product is fused with a sum, no sum crosses
+ * lanes. The including file defines SIMD_WIDTH, that of one register. */
 #ifndef TRACTION_LANES_H
 #define TRACTION_LANES_H
 
@@ -14,14 +14,14 @@
 enum { LANES = SIMD_WIDTH };
 
 typedef double vec __attribute__((vector_size(8 * SIMD_WIDTH)));
-typedef int64_t mask __attribute__((vector_size(8 * SIMD_WIDTH))); /* of a lane all bits, or none */
+typedef int64_t mask __attribute__((vector_size(8 * SIMD_WIDTH))); /* in a lane all bits, or none */
 typedef uint64_t bits __attribute__((vector_size(8 * SIMD_WIDTH)));
 
 typedef double stored __attribute__((vector_size(8 * SIMD_WIDTH), aligned(8), may_alias));
 
 static const double TO_INTEGER = 0x1.8p52; /* added and subtracted: rounds to the next integer */
 
-/* The same in all lanes. */
+/* The same number in all lanes. */
 static inline vec broadcast(double value)
 {
     return (vec){0} + value;
@@ -58,7 +58,7 @@ static inline int any(mask condition)
     return found != 0;
 }
 
-/* A row of LANES numbers, of those that lie one behind the other. */
+/* A row of LANES numbers; rows are contiguous. */
 static inline vec load_row(const double *rows, ptrdiff_t row)
 {
     return *(const stored *)(rows + LANES * row);
@@ -69,7 +69,7 @@ static inline void store_row(double *rows, ptrdiff_t row, vec v)
     *(stored *)(rows + LANES * row) = v;
 }
 
-/* Of |t| below 1e6 rad to 3e-16; of larger ones numbers without meaning. */
+/* For |t| below 1e6 rad, error below 3e-16; for larger ones the numbers have no meaning. */
 static inline void sine_cosine(vec t, vec *sine, vec *cosine)
 {
     const vec shifted = t * TWO_OVER_PI + TO_INTEGER;

@@ -1,13 +1,13 @@
-/* Load observer by measured speed and torque: T_L = T - B w - J dw/dt, filtered.
+/* Load observer from measured speed and torque: T_L = T - B w - J dw/dt, filtered.
  *
- * For drives whose currents come too slowly for the filters, and for standstill. A linear Kalman
- * filter with the states speed and load,
+ * For drives whose currents are sampled too slowly for the filters, and for standstill. A linear
+ * Kalman filter with the states speed and load,
  *
  *     w+   = w + dt / J (T - B w - T_L) + q_w        T: mean of the torques at both ends
  *     T_L+ = T_L + q_L
  *     z    = w + r
  *
- * so that the differentiation is as sharp as the noise of the speed allows. Not in paper `adhesion`.
+ * so that the differentiation is as fast as the noise of the speed allows. Not in paper `adhesion`.
  * The divisors are J, and S, which is at least speed_var; both are above 0. */
 #include "estimators/load_observer.h"
 
@@ -15,9 +15,9 @@
 
 #include "estimators/numbers.h"
 
-#define SPREAD_STEP 0.05 /* share of the newest reading in the mean of the innovations, */
-#define NIS_MOST    8.0  /* which counts as at most this */
-#define LOAD_SURE   0.01 /* of the load: what no innovation shows */
+#define SPREAD_STEP 0.05 /* weight of the newest reading in the mean of the innovations, */
+#define NIS_MOST    8.0  /* in which it counts as at most this */
+#define LOAD_SURE   0.01 /* share of the load: an error that no innovation shows */
 #define FIRST_S     0.1  /* time in which the load may have changed before the first reading */
 
 void load_observer_init(struct load_observer *state, double w, double torque,
@@ -42,7 +42,7 @@ void load_observer_update(struct load_observer *state, double w, double torque, 
     const double b = -dt / m->J;
     const double T = 0.5 * (state->torque + torque);
     const double w_p = a * state->w + b * (state->T_L - T);
-    /* A load that walks also moves the speed within the step: a third of its variance. */
+    /* A random walk of the load also moves the speed within the step: a third of its variance. */
     const double q = m->load_rate * dt;
     const double P_ww =
         a * a * state->P_ww + 2.0 * a * b * state->P_wL + b * b * (state->P_LL + q / 3.0);

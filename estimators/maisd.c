@@ -3,9 +3,9 @@
  * Corrections: (29) as printed averages k .. k+s-1 and so looks ahead; here the window ends at k.
  * (31) uses one index for motors and for their count; it is the spread of the m motors around their
  * mean. A constant difference between healthy motors (sensor, cooling position) would be part of it,
- * so the caller centres each motor on its fault-free data first.
+ * so the caller first centres each motor on its fault-free data.
  *
- * Nothing here can fail: counts that are divided by are looked at before, and the sum of squares
+ * Nothing here can fail: counts are checked before they divide, and the sum of squares
  * whose root is taken is never negative. */
 #include "estimators/maisd.h"
 
@@ -16,8 +16,8 @@
 void maisd_push(double *ring, int window, int cells, int64_t seen, const double *values,
                 const uint8_t *present)
 {
-    /* A window holds at least one sample; of a count below zero, which only a damaged record holds,
-     * a place in the ring comes out, too. */
+    /* A window holds at least one sample; a count below zero, which only a damaged record holds,
+     * also gives an index in the ring. */
     double *oldest = ring + (int64_t)((uint64_t)seen % (uint64_t)window) * cells;
     for (int c = 0; c < cells; c++)
         oldest[c] = present[c] ? values[c] : NAN;
@@ -30,7 +30,7 @@ void maisd_average(const double *ring, int window, int cells, double *mean, int6
         mean[c] = 0.0;
         number[c] = 0;
     }
-    /* As it lies in memory: cell by cell, a window of 1,000 motors would not fit the cache. */
+    /* In the order of memory: cell by cell, a window of 1,000 motors would not fit the cache. */
     for (int k = 0; k < window; k++) {
         const double *sample = ring + (int64_t)k * cells;
         for (int c = 0; c < cells; c++) {
@@ -69,8 +69,8 @@ void maisd_compare(const double *mean, const uint8_t *known, int motors, int poi
             if (!known[c])
                 continue;
             squares += (mean[c] - centre) * (mean[c] - centre);
-            /* The plain mean is pulled by the fault itself; the median of the others is not. Of an
-             * even number of others: the nearer of the middle two, else one of two would pull. */
+            /* The fault itself pulls the plain mean, but not the median of the others. Of an even
+             * number of others: the nearer of the middle two, otherwise one of two would pull. */
             const struct middle_pair middle = middle_of_others(workspace, n - 1, mean[c]);
             const double above = mean[c] > middle.above ? middle.above : mean[c];
             deviation[c] = mean[c] - (above < middle.below ? middle.below : above);

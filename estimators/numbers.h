@@ -7,19 +7,19 @@ static inline double square(double x)
     return x * x;
 }
 
-/* The second where the first is NaN. */
+/* The larger of two; y if x is NaN. */
 static inline double larger(double x, double y)
 {
     return x > y ? x : y;
 }
 
-/* The second where the first is NaN. */
+/* The smaller of two; y if x is NaN. */
 static inline double smaller(double x, double y)
 {
     return x < y ? x : y;
 }
 
-/* x, but at least `low` and at most `high`; NaN of NaN. */
+/* x limited to `low` to `high`; NaN for NaN. */
 static inline double clamp(double x, double low, double high)
 {
     if (x < low)

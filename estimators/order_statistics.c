@@ -1,9 +1,9 @@
-/* Sorting and medians without memory of their own. */
+/* Sorting and medians without own memory. */
 #include "estimators/order_statistics.h"
 
 #include <math.h>
 
-/* Shell's method: for 1,000 numbers few steps, and it needs no room. */
+/* Shell sort: few steps for 1,000 numbers, and no additional memory. */
 void sort_ascending(double *values, int n)
 {
     int gap = 1;
@@ -30,7 +30,7 @@ double median_in_place(double *values, int n)
 struct middle_pair middle_of_others(const double *sorted, int others, double own)
 {
     const int low = (others - 1) / 2, high = others / 2;
-    /* From the place of the number that is left out on, the others' ranks are one more. */
+    /* From the index of the number that is left out, the others are one place further. */
     return (struct middle_pair){
         .below = sorted[low + (sorted[low] >= own)],
         .above = sorted[high + (sorted[high] >= own)],

@@ -1,6 +1,6 @@
 /* Sine, cosine and arc tangent by the polynomials of fdlibm (k_sin.c, k_cos.c, s_atan.c).
  *
- * No divisor here is 0 unless a comment says so; infinity and NaN come out as NaN. */
+ * No divisor here is 0 unless a comment says so; infinity and NaN give NaN. */
 #include "estimators/trigonometry.h"
 
 #include <math.h>
@@ -18,7 +18,7 @@ void sine_and_cosine(double angle, double *sin, double *cos)
         0x1.8p52; /* added and subtracted: rounds to the next integer */
     const union {
         double number;
-        uint64_t bits; /* the last two are the quadrant */
+        uint64_t bits; /* the last two give the quadrant */
     } shifted = {angle * TWO_OVER_PI + TO_INTEGER};
     const double quarters = shifted.number - TO_INTEGER;
     const double r = (angle - quarters * PI_2_HIGH) - quarters * PI_2_LOW;
@@ -44,7 +44,7 @@ double cosine(double angle)
     return cos;
 }
 
-/* atan t - t, |t| <= 7/16; even and odd terms of the polynomial side by side. */
+/* atan t - t, |t| <= 7/16; even and odd terms of the polynomial in parallel. */
 static double arc_kernel(double t)
 {
     static const double EVEN[] = {3.33333333333329318027e-01, 1.42857142725034663711e-01,
@@ -63,7 +63,7 @@ static double arc_kernel(double t)
 }
 
 /* Angle of the vector (a, b), 0 <= b <= a, 0 < a: turned back by an angle of tangent 0, 1/2 or 1, so
- * that at most 7/16 is left. The divisor is above 0. */
+ * that the remaining tangent is at most 7/16. The divisor is above 0. */
 static double arc_of(double a, double b)
 {
     static const double X[] = {1.0, 2.0, 1.0}, Y[] = {0.0, 1.0, 1.0};

@@ -1,4 +1,4 @@
-/* The polynomials of sine and cosine (fdlibm: k_sin.c, k_cos.c), once for numbers and for lanes. Not
+/* The polynomials of sine and cosine (fdlibm: k_sin.c, k_cos.c), shared by numbers and lanes. Not
  * for cffi. */
 #ifndef TRACTION_TRIGONOMETRY_TERMS_H
 #define TRACTION_TRIGONOMETRY_TERMS_H
@@ -8,7 +8,7 @@ static const double TWO_OVER_PI = 0x1.45f306dc9c883p-1;
 static const double PI_2_HIGH = 0x1.921fb544p+0;
 static const double PI_2_LOW = 0x1.0b4611a626331p-34;
 
-/* Of z^1, z^2, ... in sin r / r and cos r, z = r^2. */
+/* Coefficients of z^1, z^2, ... in sin r / r and cos r, z = r^2. */
 static const double S1 = -1.66666666666666324348e-01, S2 = 8.33333333332248946124e-03,
                     S3 = -1.98412698298579493134e-04, S4 = 2.75573137070700676789e-06,
                     S5 = -2.50507602534068634195e-08, S6 = 1.58969099521155010221e-10;

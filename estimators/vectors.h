@@ -7,11 +7,11 @@
 
 #include "estimators/trigonometry.h"
 
-/* A current or voltage, A or V, above which no motor is: such a sample is discarded. One of 1e80
+/* A current or voltage, A or V, that no motor reaches: such a sample is discarded. One of 1e80
  * would dominate the running sums for seconds, and its square would overflow. */
 static const double IMPLAUSIBLE = 1e5;
 
-/* alpha + j beta, whatever they are: a product with I would make NaN of infinity. */
+/* alpha + j beta, also of infinity and NaN: a product with I would turn infinity into NaN. */
 static inline double _Complex vector_of(double alpha, double beta)
 {
     const union {
@@ -27,7 +27,7 @@ static inline double square_of(double _Complex z)
     return creal(z) * creal(z) + cimag(z) * cimag(z);
 }
 
-/* |z|; unlike cabs the same bits on every machine. A sum of squares has a root. */
+/* |z|; unlike cabs, with the same bits on every machine. A sum of squares has a root. */
 static inline double length_of(double _Complex z)
 {
     return sqrt(square_of(z));

@@ -1,19 +1,19 @@
-/* Torque against response: what the load of one drive says without any other drive.
+/* Response of a drive's load to its own command, without any other drive.
  *
- * A train is heavy: what a drive is commanded its rail carries, less the few percent that
- * accelerate its own rotor. A load that stays behind the command is a wheel that does not carry.
- * This sees what no comparison between drives can: all wheels lost together, and a drive alone.
+ * A train is heavy: the rail carries the torque that a drive is commanded less the few percent that
+ * accelerate its own rotor. A load that stays behind its command means a wheel that does not carry.
+ * This detects what no comparison of drives can: a loss of all wheels, and of a single drive.
  *
  * Commands come late (every 100 ms). A load that falls may follow a command that has not been
- * received yet; so a deficit counts only once a command sent after its begin still stands, or where
- * it is sudden, large, and has set the rotor free: a load that falls first leaves a torque that
- * accelerates the wheel, a torque that falls first does not. Until then: UNDECIDED. Not in paper
- * `adhesion`.
+ * received yet; so a deficit counts only if it outlasts a command that was sent after it began, or
+ * if it is sudden, large, and has released the rotor: if the load falls first, the remaining torque
+ * accelerates the wheel; if the torque falls first, it does not. Until then: UNDECIDED. Not in
+ * paper `adhesion`.
  *
- * Nothing here can fail: the divisors are a ratio, which load_reference.c keeps near 1, and a sigma,
- * which has the floor of the spread. erfc is that of the C library and may differ in its last bit
- * between libraries: a probability then differs by some 1e-16, which decides a flag only within
- * that distance of its threshold. */
+ * Nothing here can fail: the divisors are a ratio, which load_reference.c keeps near 1, and a
+ * sigma, which is at least the floor of the spread. erfc is that of the C library and may differ in
+ * its last bit between libraries: a probability then differs by some 1e-16, which decides a flag
+ * only within that distance of its threshold. */
 #include "estimators/detect/command_response.h"
 
 #include <math.h>
@@ -21,23 +21,23 @@
 #include "estimators/detect/load_reference.h"
 
 #define THRESHOLD     0.12 /* share of the command that must be missing */
-#define LEAST_COMMAND 0.1  /* with less a wheel carries nothing that could be missing */
-#define OPEN          0.7  /* UNDECIDED */
-#define STANDS        0.9  /* probability of a deficit that stands: less may be noise */
-#define LARGE         0.5  /* share of the command that is gone in a sudden loss */
-#define SUDDEN_S 0.015 /* so soon after a deficit was first seen: no load of a train is as fast */
+#define LEAST_COMMAND 0.1 /* with a smaller command a wheel carries nothing that could be missing */
+#define OPEN          0.7 /* UNDECIDED */
+#define STANDS        0.9 /* probability of a deficit that is real: less may be noise */
+#define LARGE         0.5 /* share of the command that is missing in a sudden loss */
+#define SUDDEN_S 0.015 /* time since a deficit was first seen: no load of a train falls so fast */
 #define SPIN_UP  0.25  /* share of the missing load found in the acceleration of the rotor */
-#define CONFIRMED_S    1e6  /* as good as confirmed by a command, while the deficit stands */
-#define LAG_S          0.01 /* a command sent so long after a deficit is younger than its cause */
+#define CONFIRMED_S    1e6  /* counts as confirmed by a command, while the deficit stands */
+#define LAG_S          0.01 /* a command sent so long after a deficit is later than its cause */
 #define STEADY         0.05 /* commands that differ by less may be learnt from */
-#define CERTAINLY_GOOD 0.05 /* response that outvotes a comparison, unless that is SURE */
-#define VETOED         0.4  /* what is left of an accusation that the response contradicts */
-#define SURE           0.99 /* comparison that nothing outvotes */
+#define CERTAINLY_GOOD 0.05 /* response that overrules a comparison, unless that is SURE */
+#define VETOED         0.4  /* probability of a comparison that the response overrules, at most */
+#define SURE           0.99 /* comparison that nothing overrules */
 #define SQRT_HALF      (1.0 / 1.4142135623730951)
 
 const double UNDECIDED = OPEN;
 
-/* The larger, the smaller of two; the first if one is NaN. */
+/* The larger, and the smaller, of two; the first if one is NaN. */
 static double larger(double a, double b)
 {
     return b > a ? b : a;
@@ -48,13 +48,13 @@ static double smaller(double a, double b)
     return b < a ? b : a;
 }
 
-/* Between two messages the command may have been anywhere on its way, or further along it. */
+/* Between two messages the command may be anywhere on its way, or further along it. */
 static double ahead(const struct command_response *drive)
 {
     return 2.0 * drive->command - drive->previous_command;
 }
 
-/* Least magnitude that the command can have; 0 where it may be on its way through zero. */
+/* Least magnitude that the command can have; 0 if it may pass through zero. */
 static double least_command(const struct command_response *drive)
 {
     const double a = drive->command, b = drive->previous_command, c = ahead(drive);
@@ -73,7 +73,7 @@ int is_asked(const struct command_response *drive)
     return drive->usable && !is_coasting(drive);
 }
 
-/* Probability of a deficit, by the load alone. */
+/* Probability of a deficit, from the load alone. */
 static double deficit_probability(const struct command_response *drive,
                                   const struct load_spread *all, const struct load_ratio *ratio,
                                   double load, double least)
@@ -84,7 +84,7 @@ static double deficit_probability(const struct command_response *drive,
     return 0.5 * erfc(-missing / sigma * SQRT_HALF);
 }
 
-/* 1 if a large part is gone that suddenly, and the rotor is free. */
+/* 1 if a large part of the load has suddenly gone, and the rotor is free. */
 static int spins_up(const struct command_response *drive, double least)
 {
     const double sign = drive->command > 0.0 ? 1.0 : -1.0;
@@ -101,7 +101,7 @@ double respond(struct command_response *drive, const struct load_spread *all,
     double p = *valid ? deficit_probability(drive, all, ratio, drive->load, least) : 0.0;
     drive->braked = 0;
     if (p > OPEN) {
-        /* What is missing may slow the rotor, if friction brakes slow its train as much. */
+        /* The missing load may slow the rotor, if friction brakes slow its train as much. */
         const double slowed = deficit_probability(drive, all, ratio, drive->braked_load, least);
         drive->braked = slowed <= OPEN;
         p = drive->braked ? slowed : p;
@@ -110,13 +110,13 @@ double respond(struct command_response *drive, const struct load_spread *all,
     drive->deficit_s = p > STANDS ? drive->deficit_s + more : 0.0;
     if (!*valid)
         return OPEN;
-    /* Seen first in this tick: it may be a tick old, and the lag of the filter older. */
+    /* First seen in this tick, it may be a tick old, and the lag of the filter adds to that. */
     const int confirmed = drive->command_age_s + LAG_S + dt <= drive->deficit_s;
     return p > OPEN && !confirmed ? OPEN : p;
 }
 
-/* 1 if the load answers a command that has just come, and is that of before: then it has not changed
- * meanwhile. Not while friction brakes may slow the rotor. */
+/* 1 if the load answers a command that has just come and equals the one before: then it has not
+ * changed meanwhile. 0 while friction brakes may slow the rotor. */
 static int answers(const struct command_response *drive, double dt)
 {
     const double near = STEADY * larger(fabs(drive->command), LEAST_COMMAND);
@@ -152,15 +152,15 @@ double fuse_loss(const struct command_response *drive, double compared, int comp
     if (!compared_known)
         return p_response;
     if (response_valid) {
-        /* Either may accuse; a drive that certainly answers its command is accused by no comparison
-         * that is not SURE: it may have taken a slipping majority for normal. */
+        /* Either can be evidence of a loss. A drive that certainly answers its command is not lost
+         * by a comparison that is not SURE: it may have taken a slipping majority for normal. */
         const int outvoted = p_response < CERTAINLY_GOOD && compared <= SURE;
         return larger(outvoted ? smaller(compared, VETOED) : compared, p_response);
     }
     if (!is_asked(drive))
         return compared;
-    /* On their way through zero drives do not follow at quite the same instant: no comparison
-     * accuses; and of a rotor that runs away none clears. */
+    /* While commands pass through zero, drives do not follow at exactly the same instant: a
+     * comparison is no evidence of a loss, nor of adhesion if the rotor runs away. */
     return runs_away ? larger(compared, p_response) : smaller(compared, OPEN);
 }
 

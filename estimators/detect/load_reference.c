@@ -1,15 +1,15 @@
-/* What the load of each drive is while it adheres: learnt slowly, never during a loss.
+/* Load of each drive while it adheres: learnt slowly, never during a loss.
  *
- * Healthy drives differ for good (wheel diameter, axle load, a magnet off its data sheet): by a
- * ratio, because all of these scale with the load. Per drive a scalar Kalman filter learns it,
+ * Healthy drives have lasting differences (wheel diameter, axle load, magnets off the data sheet),
+ * all of which scale with the load: a ratio. A scalar Kalman filter per drive learns it,
  *
  *     x_i = rho_i m + e_i,    rho_i ~ N(1, RATIO_SIGMA^2) at the start,    e_i ~ N(0, s^2)
  *
- * with m the load that adhering drives share. The spread s is learnt from what remains. Not in
+ * with m the load that adhering drives share. The spread s is learnt from the remainder. Not in
  * paper `adhesion`, whose drives are equal and whose thresholds are constants.
  *
- * Nothing here can fail: ratios stay within RATIO_LIMIT of 1, shares are those of the caller, who
- * gives none below a tenth, spreads have a floor, and what roots are taken of is a sum of squares.
+ * Nothing here can fail: ratios stay within RATIO_LIMIT of 1, the caller gives no share below a
+ * tenth, spreads have a floor, and roots are taken of a sum of squares.
  * A load that is NaN fits no model and is not learnt from. */
 #include "estimators/detect/load_reference.h"
 
@@ -17,17 +17,17 @@
 
 #include "estimators/numbers.h"
 
-#define RATIO_SIGMA  0.06 /* drives differ by this before anything is known, standard deviation */
-#define RATIO_LIMIT  0.2  /* more than this is a loss, not a difference */
+#define RATIO_SIGMA  0.06 /* standard deviation of the ratios before anything is known */
+#define RATIO_LIMIT  0.2  /* a larger difference is a loss */
 #define RATIO_TAU_S  30.0 /* time constant of learning in the long run: slow against any loss */
 #define EVERY_S      0.05 /* LEARN_PERIOD_S */
 #define SPREAD_TAU_S 0.7  /* time constant of the spread */
-#define SPREAD_FLOOR 0.6  /* least spread, of the configured one */
-#define SPREAD_MOST  8.0  /* largest spread, of the configured one */
-#define STEP_CLIP    4.0  /* spreads that one step counts at most: an edge of a loss is no spread */
-#define NOT_WHITE 2.0 /* errors last longer than the spread says: an offset turns with the rotor */
-#define GATE      4.0 /* standard deviations beyond which an observation is not of the model */
-#define LEAST_COMMON 0.1 /* common load below which nothing is said about ratios */
+#define SPREAD_FLOOR 0.6  /* least spread, as a share of the configured one */
+#define SPREAD_MOST  8.0  /* largest spread, as a multiple of the configured one */
+#define STEP_CLIP    4.0  /* limit of one step, in spreads: the edge of a loss is not spread */
+#define NOT_WHITE 2.0 /* errors outlast what the spread implies: an offset turns with the rotor */
+#define GATE      4.0 /* standard deviations beyond which an observation does not fit the model */
+#define LEAST_COMMON 0.1 /* common load below which ratios are not learnt */
 
 const double LEARN_PERIOD_S = EVERY_S;
 
@@ -53,7 +53,7 @@ double normalised_sigma(const struct load_spread *all, const struct load_ratio *
 void update_spread(struct load_spread *all, struct load_ratio *drives,
                    const struct load_observation *observed, int n, int relative)
 {
-    /* What changes from one observation to the next is noise: a loss has two edges and no more, and
+    /* The change from one observation to the next is noise: a loss has two edges and no more, and
      * lasting differences cancel. So this needs no verdict, and no verdict can stop it. */
     const double most = STEP_CLIP * all->spread;
     double total = 0.0;
@@ -80,7 +80,7 @@ void update_spread(struct load_spread *all, struct load_ratio *drives,
         clamp(sqrt(variance), SPREAD_FLOOR * all->configured, SPREAD_MOST * all->configured);
 }
 
-/* 1 if an observation of a healthy drive says something about its ratio. */
+/* 1 if an observation of a healthy drive gives information about its ratio. */
 static int fits(const struct load_ratio *drive, const struct load_observation *one, double noise)
 {
     const double m = one->common;
@@ -90,7 +90,7 @@ static int fits(const struct load_ratio *drive, const struct load_observation *o
 }
 
 /* Kalman filter of one ratio; |common| is at least LEAST_COMMON. In the long run the ratio may drift:
- * the variance that keeps the filter at RATIO_TAU_S. */
+ * the variance is that which keeps the filter at RATIO_TAU_S. */
 static void filter_ratio(struct load_ratio *drive, const struct load_observation *one, double noise)
 {
     const double m = one->common;

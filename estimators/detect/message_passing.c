@@ -1,8 +1,8 @@
 /* Variational message passing: paper `adhesion`, section 4.4, steps (i)-(vi) and eq. (49)-(51).
  *
- * One observed quantity (D = 1) at one tick; `message_passing.py` says what is missing or misprinted
- * in the paper. Each node keeps the parameters of its density, not its natural parameters: mu_k
- * normal (m, tau), Lambda_k gamma (a, b), pi beta (alpha), I_i Bernoulli (E[I_i]).
+ * One observed quantity (D = 1) at one tick; `message_passing.py` lists what is missing or
+ * misprinted in the paper. Each node stores the parameters of its density, not its natural
+ * parameters: mu_k normal (m, tau), Lambda_k gamma (a, b), pi beta (alpha), I_i Bernoulli (E[I_i]).
  *
  * Nothing here can fail. Divisors and arguments of logarithms are a positive prior plus numbers that
  * are not negative; with loads or priors that are NaN or overflow, E[I] becomes NaN, which is no
@@ -93,7 +93,7 @@ static void update_lambda(const factors *prior, int k, const double *x, const do
     q->b[k] = prior->b[k] + 0.5 * S2;
 }
 
-/* A node takes its messages. A number that is no node changes nothing. */
+/* Update a node by its messages. An invalid number of a node changes nothing. */
 static void update_node(int node, const factors *prior, const double *x, int n, factors *q,
                         double *r1)
 {
@@ -109,7 +109,7 @@ static void update_node(int node, const factors *prior, const double *x, int n, 
     }
 }
 
-/* Kullback-Leibler divergence of q(mu_k) q(Lambda_k) from their prior p, taken from `sum`. */
+/* Subtract the Kullback-Leibler divergence of q(mu_k) q(Lambda_k) from their prior p from `sum`. */
 static double subtract_divergence(double sum, const factors *q, const factors *p, int k)
 {
     const double ratio = p->tau[k] / q->tau[k];

@@ -1,4 +1,4 @@
-/* What the paper's two variational detectors have in common: paper `adhesion`, section 4.
+/* Common parts of the paper's two variational detectors: paper `adhesion`, section 4.
  *
  * Nothing here can fail: the one divisor is at least 1, and a logarithm or a digamma of a number
  * that is not above 0 is infinite or NaN, which no comparison takes for a rise of the bound. */

@@ -1,8 +1,8 @@
 /* Variational Bayes with the paper's priors: paper `adhesion`, section 4.2, eq. (32)-(47).
  *
- * One observed quantity (D = 1) at one tick; `paper_vb.py` has the same over whole records and for
- * two quantities, and says what was misprinted. Moments are taken about the prior mean, which turns
- * (39)-(44) into sums over the drives without a division by N_k: an empty component stays at its
+ * One observed quantity (D = 1) at one tick; `paper_vb.py` has the same for whole records and for
+ * two quantities, and lists the misprints. Moments are taken about the prior mean, which turns
+ * (39)-(44) into sums over the drives without a division by N_k: an empty component keeps its
  * prior.
  *
  * Nothing here can fail. Divisors and arguments of logarithms are a positive prior plus numbers that
@@ -67,7 +67,7 @@ static void update_component(const struct paper_vb_factors *prior, int k, const 
     q->alpha[k] = prior->alpha[k] + S0;
 }
 
-/* What the drives add to the bound: sum of r (log rho - log r). */
+/* Part of the drives in the bound: sum of r (log rho - log r). */
 static double drives_part(const struct paper_vb_factors *q, const double peak[2], const double *x,
                           int n, const double *r1)
 {
@@ -76,14 +76,14 @@ static double drives_part(const struct paper_vb_factors *q, const double peak[2]
         for (int k = 0; k < 2; k++) {
             const double d = x[i] - q->m[k];
             const double r = share(r1[i], k);
-            if (r > 0.0) /* 0 times what is infinite is no part */
+            if (r > 0.0) /* 0 times infinity does not count */
                 sum += r * (peak[k] - 0.5 * q->nu[k] / q->W_inv[k] * d * d);
         }
     }
     return sum;
 }
 
-/* Kullback-Leibler divergence of q(mu_k, Lambda_k) from its prior p, added to `sum`. */
+/* Add the Kullback-Leibler divergence of q(mu_k, Lambda_k) from its prior p to `sum`. */
 static double add_component_divergence(double sum, const struct paper_vb_factors *q,
                                        const struct paper_vb_factors *p, int k)
 {

@@ -4,11 +4,11 @@
 
 #include "gateway/core/records.h"
 
-/* Variational Bayes over the loads x (n,), from the prior on; the number of iterations made.
+/* Variational Bayes over the loads x (n,), starting from the prior; returns the iterations made.
  *
  * Fills q with the factors, r1 (n,) with E[I], the probability of lost adhesion, and bound
- * (iterations,) with the lower bound. It stops where an iteration raises the bound by less than `tolerance` of its magnitude; the rest
- * of `bound` is then its last value. A tolerance below 0: exactly `iterations`, at least one. */
+ * (iterations,). Stops if an iteration raises the bound by less than `tolerance` of its magnitude;
+ * the rest of `bound` is then its last value. A tolerance below 0: exactly `iterations`, >= 1. */
 int paper_vb_infer(const struct paper_vb_factors *prior, int iterations, double tolerance,
                    const double *x, int n, struct paper_vb_factors *q, double *r1,
                    struct paper_vb_bound *bound);

@@ -1,14 +1,14 @@
-/* Losses of adhesion by a model with a memory: docs/switching.md, equations (S1) to (S24).
+/* Losses of adhesion by the switching model: docs/switching.md, equations (S1) to (S24).
  *
- * Each drive adheres, has lost adhesion, or its load means nothing; all share the demand of the
- * train, which walks, wobbles, turns and now and then jumps. Given the demand the drives are
- * independent, so what is known is a mixture of at most SWITCHING_KEPT hypotheses, each a demand and
- * N small filters. In a step each hypothesis proposes up to eight, which are weighed, merged where
- * they say the same, and the likeliest kept: the cost is linear in N. Not in paper `adhesion`.
+ * Each drive adheres, has lost adhesion, or has a meaningless load; all share the demand of the
+ * train, which walks, wobbles, turns and sometimes jumps. Given the demand the drives are
+ * independent, so the posterior is a mixture of at most SWITCHING_KEPT hypotheses, each a demand
+ * and N small filters. In a step each hypothesis proposes up to eight, which are weighed, merged if
+ * they agree, and the likeliest are kept: the cost is linear in N. Not in paper `adhesion`.
  *
- * Nothing here can fail: what is divided by is a variance with a floor, a sum of probabilities that
+ * Nothing here can fail: divisors are a variance with a floor, a sum of probabilities that
  * has one, a ratio within 1.5 R_MOST of 1, or a count that is not 0; arguments of logarithms have
- * floors; loads that are known are numbers. Places are below SWITCHING_KEPT, SWITCHING_TRIED, n. */
+ * floors; known loads are finite. Indices are below SWITCHING_KEPT, SWITCHING_TRIED, n. */
 #include "estimators/detect/switching.h"
 
 #include <math.h>
@@ -19,26 +19,26 @@
 #include "estimators/elementary.h"
 #include "estimators/numbers.h"
 
-#define STEP_SD         0.003 /* walk of the demand in a step, standard deviation */
-#define SLOPE_SD        0.003 /* and of its slope */
+#define STEP_SD         0.003 /* random walk of the demand in a step, standard deviation */
+#define SLOPE_SD        0.003 /* random walk of its slope */
 #define SLOPE_KEPT      0.9
-#define MOVE_SD         0.04 /* of a wobble, and of a turn: a change of slope */
+#define MOVE_SD         0.04 /* standard deviation of a wobble, and of a turn: a change of slope */
 #define MOVE            0.04 /* probability of either */
 #define JUMP            0.02 /* probability that the demand jumps anywhere within SPAN */
-#define EVENT           2e-4 /* that drives lose adhesion together, */
+#define EVENT           2e-4 /* probability that drives lose adhesion together, */
 #define PART            0.3  /* each with this probability */
-#define ALONE           1e-5 /* that one drive does, alone */
+#define ALONE           1e-5 /* probability that one drive loses adhesion alone */
 #define FULL_LOAD       0.25 /* demand from which on losses are as frequent as this */
-#define HOPELESS        16.0 /* logarithm of how much less likely than the best is not weighed */
+#define HOPELESS        16.0 /* hypotheses whose logarithm is further below the best are left out */
 #define UNKNOWN_V       0.01 /* variance of a demand that is not known */
-#define ANEW_STEPS      50   /* so long most loads may mean nothing: 0.5 s */
+#define ANEW_STEPS      50   /* steps for which most loads may be meaningless: 0.5 s */
 #define LEAST_P         1e-12
 #define LEAST_PRECISION 0.1 /* of a demand by all drives but one */
 #define MOST_M          4.0
 
 enum move { CALM, ONSETS, WOBBLE, TURN, MOVES };
 
-/* Nothing is known of the demand and of the drives. */
+/* Set the demand and the drives to nothing known. */
 static void set_unknown(struct switching *s)
 {
     s->kept = 1;
@@ -63,7 +63,7 @@ void switching_reset(struct switching *s)
 
 /* ---- One hypothesis and all loads ---- */
 
-/* First sweep, (S13): the demand takes in one drive after the other. */
+/* First sweep, (S13): the demand takes in the load of one drive after the other. */
 static struct gaussian sweep_demand(const struct switching *s, struct switching_hypothesis *h,
                                     struct switching_drive *d, int anchor)
 {
@@ -84,14 +84,14 @@ static struct gaussian sweep_demand(const struct switching *s, struct switching_
     return g;
 }
 
-/* Second sweep, (S14): each drive against all others. */
+/* Second sweep, (S14): each drive compared with all others. */
 static struct gaussian sweep_drives(const struct switching *s, struct switching_drive *d,
                                     int anchor, struct gaussian g)
 {
     for (int i = 0; i < s->n; i++) {
         if (!s->loads[i].known || i == anchor)
             continue;
-        /* Never less than the precision of the prior demand, which varies by 1 or so at most. */
+        /* Never less than the precision of the prior demand, whose variance is at most about 1. */
         const double without = larger(1.0 / g.v - d[i].precision, LEAST_PRECISION);
         const struct gaussian others = {(g.m / g.v - d[i].shift) / without, 1.0 / without};
         const double y = s->loads[i].load, noise = switching_noise_of(s, i);
@@ -108,8 +108,8 @@ static struct gaussian sweep_drives(const struct switching *s, struct switching_
     return g;
 }
 
-/* Both; the slope follows what the demand has learnt, (S15). anchor: a drive that the demand already
- * comes from, or -1. */
+/* Both sweeps; the slope follows the update of the demand, (S15). anchor: a drive from which the
+ * demand already comes, or -1. */
 static void weigh(const struct switching *s, struct switching_hypothesis *h,
                   struct switching_drive *d, int anchor)
 {
@@ -123,7 +123,7 @@ static void weigh(const struct switching *s, struct switching_hypothesis *h,
     h->v_mm = g.v;
 }
 
-/* ---- What may happen in a step ---- */
+/* ---- Events of a step ---- */
 
 /* (S1): a step of the demand. */
 static struct switching_hypothesis walk(struct switching_hypothesis h)
@@ -137,14 +137,14 @@ static struct switching_hypothesis walk(struct switching_hypothesis h)
     return h;
 }
 
-/* How frequent losses are: wheels that carry little hold. */
+/* Relative frequency of losses: wheels that carry little hold. */
 static double frequency(double demand)
 {
     const double x = smaller(fabs(demand) / FULL_LOAD, 1.0);
     return x * x * x;
 }
 
-/* (S16): the demand goes on, wobbles or turns; drives lose adhesion alone, or together. */
+/* (S16): the demand continues, wobbles or turns; drives lose adhesion alone, or together. */
 static struct switching_hypothesis moved(struct switching_hypothesis h, enum move move)
 {
     const double often = larger(EVENT * frequency(h.m), LEAST_P);
@@ -160,7 +160,7 @@ static struct switching_hypothesis moved(struct switching_hypothesis h, enum mov
     return h;
 }
 
-/* Drives of `from` as those of trial k. */
+/* Copy the drives of `from` to trial k. */
 static struct switching_drive *copied(const struct switching *s, int k,
                                       const struct switching_drive *from)
 {
@@ -170,7 +170,7 @@ static struct switching_drive *copied(const struct switching *s, int k,
     return d;
 }
 
-/* The same a step later. */
+/* The same, predicted by one step. */
 static struct switching_drive *predicted(const struct switching *s, int k,
                                          const struct switching_drive *from, double begin)
 {
@@ -180,7 +180,7 @@ static struct switching_drive *predicted(const struct switching *s, int k,
     return d;
 }
 
-/* Load of drive i as demand, if that is where it comes from. */
+/* Demand that the load of drive i indicates, if the drive adheres. */
 static double demand_of(const struct switching *s, const struct switching_drive *d, int i)
 {
     return s->loads[i].load / ratio_of(&d[i].now);
@@ -191,7 +191,7 @@ static int may_lead(const struct switching *s, int i)
     return s->loads[i].known && !s->loads[i].apart;
 }
 
-/* The two strongest loads of one sign; -1: there is none. */
+/* The two drives with the strongest loads of one sign; -1: there is none. */
 static void find_strongest(const struct switching *s, const struct switching_drive *d, double sign,
                            int strongest[2])
 {
@@ -211,7 +211,7 @@ static void find_strongest(const struct switching *s, const struct switching_dri
     }
 }
 
-/* (S17): the demand jumps to what drive j carries, which adheres; those that carry more do not, so
+/* (S17): the demand jumps to the load of drive j, which adheres; drives that carry more do not, so
  * that no jump is counted twice. */
 static void jump(const struct switching *s, struct switching_hypothesis *h,
                  struct switching_drive *d, int j)
@@ -245,8 +245,8 @@ static double best_of(const struct switching *s, int tried)
     return best;
 }
 
-/* Trials of jumps from one hypothesis, after the first `tried`; how many there are then. later: its
- * drives a step later. */
+/* Append to the first `tried` trials the jumps of one hypothesis; returns the number of trials.
+ * later: its drives a step later. */
 static int propose_jumps(struct switching *s, const struct switching_hypothesis *walked,
                          const struct switching_drive *from, const struct switching_drive *later,
                          int tried)
@@ -257,7 +257,7 @@ static int propose_jumps(struct switching *s, const struct switching_hypothesis 
         for (int k = 0; k < 2 && strongest[k] >= 0; k++) {
             const int j = strongest[k];
             const double far = demand_of(s, from, j) - walked->m;
-            /* Of a demand that nobody knows any drive may tell, not only the first. */
+            /* A demand that is not known can be taken from any drive, not only from the first. */
             const double near = 4.0 * (walked->v_mm + MOVE_SD * MOVE_SD);
             if (walked->v_mm < UNKNOWN_V && square(far) < near)
                 continue;
@@ -273,7 +273,7 @@ static int propose_jumps(struct switching *s, const struct switching_hypothesis 
     return tried;
 }
 
-/* Everything that hypothesis k may become. */
+/* Propose everything that hypothesis k may become. */
 static int propose(struct switching *s, int k, int tried)
 {
     const struct switching_drive *from = drives_of(s->drives, s, k);
@@ -293,7 +293,7 @@ static int propose(struct switching *s, int k, int tried)
 
 /* ---- What is learnt ---- */
 
-/* (S20): the mean ratio of a hypothesis is 1. */
+/* (S20): scale the mean ratio of a hypothesis to 1. */
 static void centre(struct switching_hypothesis *h, struct switching_drive *d, int n)
 {
     double total = 0.0;
@@ -314,8 +314,8 @@ static void learn(struct switching *s)
         centre(&s->hypotheses[k], drives_of(s->drives, s, k), s->n);
 }
 
-/* If most loads mean nothing for long, it is what has been learnt that means nothing, (S21): of a
- * loss that was there before anything was known, say. */
+/* If most loads are meaningless for long, what has been learnt is wrong, (S21): for example because
+ * of a loss that existed before anything was known. Then restart. */
 static void begin_anew_if_contradicted(struct switching *s, int known)
 {
     int nothing = 0;

@@ -1,16 +1,16 @@
-/* Losses of adhesion by a model with a memory: docs/switching.md. */
+/* Losses of adhesion by the switching model: docs/switching.md. */
 #ifndef TRACTION_SWITCHING_H
 #define TRACTION_SWITCHING_H
 
 #include "gateway/core/records.h"
 
-/* Nothing remembered and nothing learnt; `n` and `every` stay. */
+/* Reset to nothing remembered and nothing learnt; `n` and `every` stay. */
 void switching_reset(struct switching *s);
 
 /* One step of 10 ms with `loads`: fills `adhering`, `lost` and `demand`. */
 void switching_step(struct switching *s);
 
-/* One tick: a step if one is due, else nothing. */
+/* One tick: makes a step if one is due. */
 void switching_tick(struct switching *s);
 
 #endif

@@ -1,7 +1,7 @@
 /* One drive under one hypothesis: docs/switching.md, equations (S1) to (S12).
  *
- * Nothing here can fail. `noise` is at least the square of NOISE_LEAST (switching.c) and every
- * variance that is divided by contains it; ratios are within 1.5 R_MOST of 1; the sum of the
+ * Nothing here can fail. `noise` is at least the square of NOISE_LEAST (switching_noise.c), and
+ * every variance that is a divisor contains it; ratios are within 1.5 R_MOST of 1; the sum of the
  * origins has a floor, and so has v_c; |m| is compared with LEAST_SHARED before it divides.
  * Arguments of roots are sums of such variances. */
 #include "estimators/detect/switching_drive.h"
@@ -16,27 +16,27 @@
 
 #define TWO_PI 6.283185307179586
 
-#define RATIO_SD            0.065 /* drives differ by this for good, standard deviation */
-#define CURVE_SD            0.02  /* and by this for a while */
-#define CURVE_S             3.0   /* for so long */
-#define U_MOST              0.05  /* and no further: a loss that grows slowly is no curve */
+#define RATIO_SD            0.065 /* standard deviation of lasting differences between drives */
+#define CURVE_SD            0.02  /* and of temporary ones */
+#define CURVE_S             3.0   /* time constant of these */
+#define U_MOST              0.05 /* largest such difference: a loss that grows slowly is no curve */
 #define TAIL                0.002 /* share of loads whose error is WIDE times larger */
 #define WIDE                5.0
-#define SHARE_MOST          0.9   /* a lost drive carries less of what it carried before */
-#define SHARE_STEP_SD       0.015 /* change of its share in a step */
+#define SHARE_MOST          0.9   /* a lost drive carries at most this share of its earlier load */
+#define SHARE_STEP_SD       0.015 /* change of its share in a step, standard deviation */
 #define SHARE_NEW           0.02  /* probability per step of any other share */
 #define SHARE_VARIANCE_MOST 0.1
 #define GRIP                0.04 /* probability per step that a lost drive grips again */
-#define OUT                 0.01 /* that a load means something again */
+#define OUT                 0.01 /* probability per step that a load becomes meaningful again */
 #define OUT_ADHERING        0.7
-#define NOT_WHITE    3.0  /* errors last: so many times the variance where ratios are learnt */
-#define STEP_CLIP    3.0  /* standard deviations of an error that ratios are learnt from */
-#define LEAST_DEMAND 0.05 /* with less nothing is said about ratios */
-#define SURE_DEMAND  0.01 /* variance of the demand from which on nothing is */
-#define LEAST_SHARED 0.02 /* demand with less of which nothing is said about shares */
-#define LEAST_WIDTH  0.01 /* demand by which the load of a lost drive may have either sign */
-#define LEAST_C      0.1  /* a lost drive may carry so much against the train */
-#define MOST_C       5.0  /* a share beyond either sign of it is none */
+#define NOT_WHITE    3.0  /* errors last: factor on the variance from which the ratios are learnt */
+#define STEP_CLIP    3.0  /* largest error that ratios are learnt from, in standard deviations */
+#define LEAST_DEMAND 0.05 /* with less, ratios are not learnt */
+#define SURE_DEMAND  0.01 /* variance of the demand from which on ratios are not learnt */
+#define LEAST_SHARED 0.02 /* demand below which shares are not learnt */
+#define LEAST_WIDTH  0.01 /* demand below which the load of a lost drive may have either sign */
+#define LEAST_C      0.1  /* a lost drive may carry this share against the train */
+#define MOST_C       5.0  /* a larger share, of either sign, is not possible */
 #define LEAST_V      1e-8
 #define LEAST_P      1e-9
 
@@ -87,14 +87,14 @@ static vec normal(vec e, vec v)
     return exp_lanes(-0.5 * e * e / v) / square_root(TWO_PI * v);
 }
 
-/* Their distribution function, to 0.01: the logistic function. */
+/* Normal distribution functions, to 0.01: the logistic function. */
 static vec logistic(vec x)
 {
     const vec z = -1.702 * x;
     return 1.0 / (1.0 + exp_lanes(select(z > HIGHEST, broadcast(HIGHEST), z)));
 }
 
-/* Probability that the share of before is one that a lost drive may carry. */
+/* Probability that the earlier share is one that a lost drive may carry. */
 static double less_than_all(const struct switching_drive *d)
 {
     const double sd = sqrt(d->v_c), most = SHARE_MOST * ratio_of(&d->before);
@@ -102,7 +102,7 @@ static double less_than_all(const struct switching_drive *d)
     return p[0] * p[1];
 }
 
-/* (S2): u is forgotten, r is not. */
+/* (S2): u decays, r does not. */
 static void fade(struct switching_ratio *q)
 {
     const double kept = 1.0 - STEP_S / CURVE_S;

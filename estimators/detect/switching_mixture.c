@@ -1,7 +1,7 @@
-/* Fewer hypotheses again: docs/switching.md, equations (S18) and (S19).
+/* Reduction of the hypotheses: docs/switching.md, equations (S18) and (S19).
  *
- * Nothing here can fail: what is divided by is 1 or more, or a sum of probabilities with a floor;
- * logarithms are of 1 or more; places are below SWITCHING_KEPT, SWITCHING_TRIED and n. */
+ * Nothing here can fail: divisors are 1 or more, or a sum of probabilities with a floor;
+ * logarithms are of 1 or more; indices are below SWITCHING_KEPT, SWITCHING_TRIED and n. */
 #include "estimators/detect/switching_mixture.h"
 
 #include <math.h>
@@ -10,11 +10,11 @@
 #include "estimators/elementary.h"
 #include "estimators/numbers.h"
 
-#define NEAR_V   0.5  /* demands are the same within so much of their variances, */
-#define NEAR_P   0.2  /* and drives, within so much of their probabilities */
-#define UNLIKELY 20.0 /* logarithm of how much less likely than the best is given up */
+#define NEAR_V   0.5  /* demands are alike within this share of their variances, */
+#define NEAR_P   0.2  /* and drives, within this difference of their probabilities */
+#define UNLIKELY 20.0 /* a hypothesis whose log weight is lower than the best by this is dropped */
 
-/* 1 if two hypotheses say the same, (S18). */
+/* 1 if two hypotheses are alike, (S18). */
 static int are_alike(const struct switching_hypothesis *a, const struct switching_drive *d_a,
                      const struct switching_hypothesis *b, const struct switching_drive *d_b, int n)
 {
@@ -26,7 +26,7 @@ static int are_alike(const struct switching_hypothesis *a, const struct switchin
     return 1;
 }
 
-/* (S19) of one drive; w and 1 - w: weights of both. */
+/* (S19) for one drive; w and 1 - w: weights of both. */
 static void merge_drive(struct switching_drive *a, const struct switching_drive *b, double w)
 {
     const double z = 1.0 - w;
@@ -43,7 +43,7 @@ static void merge_drive(struct switching_drive *a, const struct switching_drive 
     a->neither = w * a->neither + z * b->neither;
 }
 
-/* (S19): moments of both, into the likelier one. */
+/* (S19): merge both, by their moments, into the likelier one. */
 static void merge(struct switching_hypothesis *a, struct switching_drive *d_a,
                   const struct switching_hypothesis *b, const struct switching_drive *d_b, int n)
 {
@@ -60,7 +60,7 @@ static void merge(struct switching_hypothesis *a, struct switching_drive *d_a,
         merge_drive(&d_a[i], &d_b[i], w);
 }
 
-/* Trial k into one that says the same, or as one more if there is room. */
+/* Merge trial k into a hypothesis that is alike, or keep it if there is room. */
 static void keep(struct switching *s, int k)
 {
     const struct switching_hypothesis *h = &s->trials[k];

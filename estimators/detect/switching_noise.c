@@ -1,10 +1,10 @@
-/* How far off loads are: docs/switching.md, equations (S12), (S22) to (S24).
+/* Errors of the loads: docs/switching.md, equations (S12), (S22) to (S24).
  *
- * Two measures, of which the larger counts. The variance of the errors of a drive that adheres: white
- * noise, from which what lasts is taken out. And the scatter of its load, whatever the drive is taken for:
- * a load that is not in order for long is taken for lost in every other step, and teaches no variance.
+ * There are two measures; the larger one counts. First, the variance of the errors of a drive that
+ * adheres: white noise, without lasting errors. Second, the scatter of its load, in any state: a
+ * load that is disturbed for long seems lost in every other step, and teaches no variance.
  *
- * Nothing here can fail: what is divided by is a variance with a floor, or the precision of the demand,
+ * Nothing here can fail: divisors are a variance with a floor, or the precision of the demand,
  * above LEAST_PRECISION; `at` stays below SWITCHING_PAST. */
 #include "estimators/detect/switching_noise.h"
 
@@ -13,22 +13,22 @@
 #include "estimators/detect/switching_drive.h"
 #include "estimators/numbers.h"
 
-#define NOISE_FIRST   0.02  /* error of a load at the start, standard deviation; */
-#define NOISE_LEAST   0.012 /* the least, the most */
+#define NOISE_FIRST   0.02  /* standard deviation of the error of a load at the start, */
+#define NOISE_LEAST   0.012 /* the least, and the most */
 #define NOISE_MOST    0.2
-#define NOISE_S       1.0 /* time constant of learning it in the long run, */
+#define NOISE_S       1.0 /* time constant of learning in the long run, */
 #define NOISE_FIRST_S 0.1 /* and at first */
-#define NOISE_CLIP    3.0 /* standard deviations that one error counts */
-#define LASTING_S     1.0 /* an error that lasts is no noise: time constant of its mean */
+#define NOISE_CLIP    3.0 /* largest error that counts, in standard deviations */
+#define LASTING_S     1.0 /* a lasting error is no noise: time constant of its mean */
 #define SCATTER_FIRST 0.005
 #define SCATTER_MOST  0.15
-#define SCATTER_STEP  0.02 /* by this share the scatter falls in a step, */
-#define SCATTER_RISE  2.0  /* and so many times faster it rises: two of three changes are smaller */
+#define SCATTER_STEP  0.02 /* share by which the scatter falls in a step; */
+#define SCATTER_RISE  2.0  /* it rises so many times faster: two of three changes are smaller */
 #define SCATTER_SD                                                                                 \
-    1.05 /* standard deviation that counts, of a scatter of 1: errors last some steps */
-#define LAG          0.15 /* noise more for a demand that has moved by 1: not all follow at once */
+    1.05 /* standard deviation that a scatter of 1 counts as: errors last for some steps */
+#define LAG          0.15 /* extra noise for a demand that has moved by 1: not all follow at once */
 #define LAG_KEPT     0.4
-#define LEAST_DEMAND 0.05     /* with less nothing is said about noise */
+#define LEAST_DEMAND 0.05     /* with less, noise is not learnt */
 #define LEAST_PRECISION 100.0 /* of a demand by all drives but one */
 
 struct switching_noise switching_noise_unknown(void)
@@ -37,7 +37,7 @@ struct switching_noise switching_noise_unknown(void)
                                     .scatter = SCATTER_FIRST};
 }
 
-/* Variance of the error of load i where that of its noise is `variance`. */
+/* Variance of the error of load i if that of its noise is `variance`. */
 static double with_noise(const struct switching *s, int i, double variance)
 {
     const struct switching_load *in = &s->loads[i];
@@ -50,7 +50,7 @@ double switching_noise_of(const struct switching *s, int i)
     return with_noise(s, i, larger(noise->variance, square(SCATTER_SD * noise->scatter)));
 }
 
-/* Demand by all drives but i, by the likeliest hypothesis; 0 where they do not know it. */
+/* Demand by all drives but i, by the likeliest hypothesis; variance 0 if they do not show it. */
 static struct gaussian demand_without(const struct switching *s, int i)
 {
     const struct switching_hypothesis *h = &s->hypotheses[0];
@@ -61,7 +61,7 @@ static struct gaussian demand_without(const struct switching *s, int i)
     return (struct gaussian){(h->m / h->v_mm - d->shift) / precision, 1.0 / precision};
 }
 
-/* (S12): variance of drive i, which adheres. */
+/* (S12): learn the variance of drive i, which adheres. */
 static void learn_variance(struct switching *s, int i, struct gaussian g, double e)
 {
     const struct switching_ratio *q = &s->drives[i].now;
@@ -80,7 +80,7 @@ static void learn_variance(struct switching *s, int i, struct gaussian g, double
         clamp(noise->variance * (1.0 + step), NOISE_LEAST * NOISE_LEAST, NOISE_MOST * NOISE_MOST);
 }
 
-/* (S22), (S23): scatter of drive i, the change of its error e within SWITCHING_PAST steps. */
+/* (S22), (S23): learn the scatter of drive i: change of its error e within SWITCHING_PAST steps. */
 static void learn_scatter(struct switching_noise *noise, double e)
 {
     if (noise->count == SWITCHING_PAST) {
@@ -95,8 +95,8 @@ static void learn_scatter(struct switching_noise *noise, double e)
     noise->at = noise->at + 1 < SWITCHING_PAST ? noise->at + 1 : 0;
 }
 
-/* (S24). Neither filters nor observer tell anything of the noise of the other; before any is learnt, it
- * is what the estimate says of itself. */
+/* (S24). The noise of filters does not show that of the observer, nor the reverse; before any is
+ * learnt, it is the estimate's own standard deviation. */
 void switching_note_sources(struct switching *s)
 {
     for (int i = 0; i < s->n; i++) {
@@ -121,7 +121,7 @@ void switching_learn_noises(struct switching *s)
     for (int i = 0; i < s->n; i++) {
         const struct switching_load *in = &s->loads[i];
         const struct gaussian g = demand_without(s, i);
-        /* Only of loads that are what they seem. */
+        /* Only from loads that are what they seem. */
         if (!in->known || in->apart || in->unsure || in->error != 0.0 || g.v == 0.0) {
             s->noises[i].count = 0;
             continue;

@@ -1,18 +1,18 @@
 /* Variational Bayes over the loads of all drives: paper `adhesion`, section 4.2, eq. (21)-(47).
  *
- * Two components, 0 adhering and 1 lost, each with a normal-Wishart prior. Here it has one
- * dimension, so the Wishart is a gamma with a = nu/2, b = 1/(2 W). The misprints of the paper are
+ * Two components, 0 adhering and 1 lost, each with a normal-Wishart prior. In one dimension, as
+ * here, the Wishart is a gamma with a = nu/2, b = 1/(2 W). The misprints of the paper are
  * corrected: one m per component in (27)-(28); weights 1 - E[I] and E[I] in (36), (43), (44);
  * E[log(1 - pi)] = psi(alpha_0) - psi(alpha_0 + alpha_1), which is missing at (45). Its priors are
  * not the paper's: docs/adr/0004-detector-priors.md.
  *
  * The mean of component 0 is started at the load of every drive in turn, and the start with the
- * highest lower bound (18) wins: a majority of slipping drives does not decide what is normal. Starts
- * do the same arithmetic, so two of them are done at once, a lane each.
+ * highest lower bound (18) is used: a majority of slipping drives does not define what is normal.
+ * Starts do the same arithmetic, so two of them are computed at once, one per lane.
  *
  * Nothing here can fail. Divisors and arguments of logarithms are sums of a positive prior and of
- * numbers that are not negative; were one of them zero or NaN, it would come to NaN, a bound that
- * is NaN never wins, and NaN is no probability for the flags. */
+ * numbers that are not negative; if one of them were zero or NaN, the result would be NaN: a bound
+ * that is NaN is never the highest, and NaN is no valid probability for the flags. */
 #include "estimators/detect/variational.h"
 
 #include <math.h>
@@ -31,7 +31,7 @@ struct prior {
     vec m;                    /* mean of mu_k */
     double a, beta;           /* shape of that gamma; weight of m, in drives */
     double alpha;             /* weight of the component, in drives */
-    int a_steps, alpha_steps; /* `steps_to_ten` of a and alpha, and so of the posterior's */
+    int a_steps, alpha_steps; /* `steps_to_ten` of a and alpha, and so of those of the posterior */
 };
 
 /* Posterior factors of one component. */
@@ -43,10 +43,10 @@ struct component {
     vec n;        /* N_k, (43) */
 };
 
-/* What a start ends with. */
+/* Result of a start. */
 struct solution {
     vec m;     /* mean of component 0 */
-    vec bound; /* lower bound (18), but for what all starts have in common */
+    vec bound; /* lower bound (18), without what all starts have in common */
 };
 
 double digamma(double x)
@@ -57,8 +57,8 @@ double digamma(double x)
     return psi.part[0] + elementary_log(psi.whole[0]);
 }
 
-/* Priors of both components where an adhering drive carries `anchor`: adhering drives agree to
- * within `variance`; a lost one carries anything between nothing and all, mean and variance of a
+/* Priors of both components if an adhering drive carries `anchor`: adhering drives agree to
+ * within `variance`; a lost drive carries anything between nothing and all: mean and variance of a
  * uniform distribution. */
 static void priors_at(const struct vb_priors *given, vec anchor, double variance,
                       struct prior prior[2])
@@ -85,8 +85,8 @@ static void priors_at(const struct vb_priors *given, vec anchor, double variance
     };
 }
 
-/* (32), (33) of component 1 less that of component 0, but for the distances from their means. Of the
- * logarithms in (45) and (46) one is left. */
+/* (32), (33) of component 1 less that of component 0, without the distances from their means. Only
+ * one of the logarithms in (45) and (46) is left. */
 static inline vec log_odds(const struct component q[2], const struct prior p[2])
 {
     const struct psi pi_0 = psi_lanes(q[0].alpha, p[0].alpha_steps); /* (45) */
@@ -131,7 +131,7 @@ static inline void scatter(const double *x, const double *r1, int n, const vec m
     }
 }
 
-/* (39)-(42) and the weight in (45), of N_k drives with this weighted mean and N_k S_k. */
+/* (39)-(42) and the weight in (45), for N_k drives with this weighted mean and N_k S_k. */
 static inline void update(struct component *q, const struct prior *p, vec mean, vec n_scatter)
 {
     const vec off = mean - p->m;
@@ -153,8 +153,8 @@ static inline vec entropy(const double *r1, int n)
     return sum;
 }
 
-/* Lower bound (18) right after `update`, but for what all starts have in common: normalising constants
- * of the posterior over those of the prior. */
+/* Lower bound (18) right after `update`, without what all starts have in common: normalising
+ * constants of the posterior over those of the prior. */
 static inline vec lower_bound(const struct component q[2], const struct prior p[2],
                               const double *r1, int n)
 {
@@ -168,7 +168,7 @@ static inline vec lower_bound(const struct component q[2], const struct prior p[
     return bound;
 }
 
-/* All iterations of LANES starts: fills r1 (n, LANES), gives means of component 0 and lower bounds. */
+/* All iterations of LANES starts: fills r1 (n, LANES), returns means of component 0 and bounds. */
 static struct solution run_starts(const struct prior p[2], int iterations, const double *x, int n,
                                   double *r1)
 {
@@ -179,7 +179,7 @@ static struct solution run_starts(const struct prior p[2], int iterations, const
     for (int j = 0; j < iterations; j++) {
         vec mean[2], n_scatter[2];
         expect_lost(q, p, x, n, r1, mean);
-        for (int k = 0; k < 2; k++) /* No drive in a component: its mean stays that of the prior. */
+        for (int k = 0; k < 2; k++) /* A component without drives keeps the mean of its prior. */
             mean[k] = select(q[k].n > 1e-12, mean[k] / q[k].n, p[k].m);
         scatter(x, r1, n, mean, n_scatter);
         for (int k = 0; k < 2; k++)
@@ -188,8 +188,8 @@ static struct solution run_starts(const struct prior p[2], int iterations, const
     return (struct solution){.m = q[0].m, .bound = lower_bound(q, p, r1, n)};
 }
 
-/* The best of all starts: fills r1 (n,), gives the mean of component 0. Ties keep the first. Of more
- * than VB_MAX_STARTS loads so many are tried, evenly by rank. `workspace` holds 3 n numbers. */
+/* The best of all starts, of equal ones the first: fills r1 (n,), returns the mean of component 0.
+ * Of more than VB_MAX_STARTS loads, so many are tried, evenly by rank. `workspace`: 3 n numbers. */
 static double best_start(const struct vb_priors *priors, int iterations, const double *x, int n,
                          double variance, double *workspace, double *r1)
 {
@@ -205,7 +205,7 @@ static double best_start(const struct vb_priors *priors, int iterations, const d
         sort_ascending(anchors, n);
     for (int first = 0; first < starts; first += LANES) {
         const int count = starts - first < LANES ? starts - first : LANES;
-        vec anchor = broadcast(anchors[0]); /* and so in the lanes that are not used */
+        vec anchor = broadcast(anchors[0]); /* also in the lanes that are not used */
         for (int k = 0; k < count; k++)
             anchor[k] = anchors[(2 * (first + k) + 1) * n / (2 * starts)]; /* below n */
         struct prior p[2];
@@ -241,7 +241,7 @@ double vb_detect(const struct vb_priors *priors, int iterations, const double *l
         return 0.0;
     variance /= m;
     const double common = best_start(priors, iterations, x, m, variance, rest, r1);
-    /* As much load as the others, or more, is no lost wheel, however odd it is. */
+    /* A drive that carries as much load as the others, or more, is not lost, however odd it is. */
     const double sign = common >= 0.0 ? 1.0 : -1.0;
     const double least = sqrt(variance);
     for (int i = 0, k = 0; i < n; i++) {

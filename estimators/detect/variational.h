@@ -7,12 +7,12 @@
 /* Digamma of x > 0, absolute error below 1e-13; NaN for any other x. */
 double digamma(double x);
 
-/* Probability of lost adhesion of each of n drives, `lost` (n,), and the load that adhering drives
- * share, in the unit of `load`.
+/* Probability of lost adhesion of each of n drives, `lost` (n,); returns the load that adhering
+ * drives share, in the unit of `load`.
  *
- * load, spread (n,): estimate and standard deviation of a healthy drive's, same unit; usable (n,):
- * 1 where the load is known. `workspace` holds 5 n numbers. With fewer than two usable drives, and
- * for those that are not usable, `lost` is 0; so is then the load. */
+ * load, spread (n,): estimate, and standard deviation of a healthy drive's load, same unit; usable
+ * (n,): 1 if the load is known. `workspace` holds 5 n numbers. `lost` is 0 for drives that are not
+ * usable, and for all with fewer than two usable drives; so is then the load. */
 double vb_detect(const struct vb_priors *priors, int iterations, const double *load,
                  const double *spread, const uint8_t *usable, int n, double *workspace,
                  double *lost);

@@ -1,21 +1,21 @@
 /* Gaussian mixtures of a scalar by expectation-maximisation: paper `thermal`, eq. (9)-(18).
  *
- * Corrections: (12)-(18) mix up the indices of sample and component; (15) is
+ * Corrections: (12)-(18) confuse the indices of sample and component; (15) is
  * alpha_i phi_i / sum_j alpha_j phi_j. The variance in (18) uses the new mean, and needs a floor, or a
  * component collapses onto one value. Components start at spread quantiles and are kept in order, so
- * that they do not change places.
+ * that they are not exchanged.
  *
  * Nothing here can fail: variances are at least the floor, logarithms are of numbers above 0, the
- * likeliest component's density over its own maximum is 1, so the sum over components is at least 1,
- * and a component is moved only if samples belong to it. */
+ * likeliest component's density relative to its maximum is 1, so the sum over components is at
+ * least 1, and a component is moved only if samples belong to it. */
 #include "estimators/thermal/gaussian_mixture.h"
 
 #include "estimators/elementary.h"
 
-static const double LEAST_WEIGHT = 1e-300; /* so that a component of no weight has a logarithm */
-static const double LEAST_COUNT = 1e-9;    /* samples of a component that is moved */
+static const double LEAST_WEIGHT = 1e-300; /* gives a component without weight a logarithm */
+static const double LEAST_COUNT = 1e-9;    /* least number of samples for a component to be moved */
 
-/* Sums of one iteration, of each component: (16)-(18). */
+/* Sums of one iteration for each component: (16)-(18). */
 struct moments {
     double count[MIXTURE_MAX], first[MIXTURE_MAX], second[MIXTURE_MAX];
 };
@@ -31,7 +31,7 @@ static double variance_of(const double *x, int count)
     return squares / count;
 }
 
-/* (15): share of each component in the sample x; level: log alpha_i - log sigma_i. */
+/* (15): responsibility of each component for the sample x; level: log alpha_i - log sigma_i. */
 static void responsibilities(const struct mixture *mix, const double *level, int n, double x,
                              double *share)
 {
@@ -88,7 +88,7 @@ static void swap(double *one, double *other)
     *other = kept;
 }
 
-/* Components in the order of their means. */
+/* Sort the components by their means. */
 static void sort_components(struct mixture *mix, int n)
 {
     for (int i = 1; i < n; i++) {

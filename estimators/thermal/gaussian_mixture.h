@@ -5,7 +5,7 @@
 #include "gateway/core/records.h"
 
 /* Fit n components (1 to MIXTURE_MAX) to x (count >= n); ascending: the same numbers, sorted. The
- * components' means ascend; variances are at least `floor`, above 0. */
+ * components are in ascending order of their means; variances are at least `floor`, above 0. */
 void mixture_fit(const double *x, const double *ascending, int count, int iterations, double floor,
                  int n, struct mixture *out);
 

@@ -1,11 +1,11 @@
-/* Which fault explains what the thermal model does not: a discrete Bayes filter per motor, for samples
- * hours apart, each of a motor that has settled anew (monitor.c is for every second).
+/* Discrete Bayes filter per motor, for samples hours apart, each of a motor that has settled anew.
+ * It finds the fault that explains what the thermal model does not (monitor.c is for each second).
  *
- * States: nothing; a kind of heat times its size; a sensor off by a size, up or down; a loose
+ * States: no fault; a heat fault times its size; a sensor off by a size, up or down; a loose
  * connector. In place of paper `thermal`, eq. (28)-(31).
  *
  * Nothing here can fail: densities are of scales above 0, logarithms of numbers above 0, the sum of
- * the states is above 0 as the likeliest one's factor is 1 and no state is ever left for good, and of
+ * the states is above 0 as the likeliest one's factor is 1 and every state can be reached, and of
  * the sizes of every kind some are faults and some are not. */
 #include "estimators/thermal/hypotheses.h"
 
@@ -18,25 +18,25 @@
 enum { Q = THERMAL_POINTS, H = IMM_HEATS, S = HYPOTHESIS_SIZES, GROUPS = H + 2 * Q };
 enum { LOOSE = 1 + GROUPS * S }; /* index of the first loose connector's state */
 
-static const double UNSURE = 0.15; /* share that a signature may be off by: sizes are 1.4 apart */
-static const double HELD = 0.6;    /* of the least size, which then is a fault for longer */
+static const double UNSURE = 0.15; /* relative error of a signature: sizes are 1.4 apart */
+static const double HELD = 0.6;    /* share of the least size that keeps a held kind a fault */
 static const double HELD_LEAST_K = 1.5;
-static const double MOST_SIGMA = 3.0; /* that one deviation moves a baseline by */
-static const double LEAST = 1e-12;    /* probability that a mean is taken over */
+static const double MOST_SIGMA = 3.0; /* limit of a deviation that moves a baseline */
+static const double LEAST = 1e-12;    /* least probability for a mean */
 
-/* 1.0 or -1.0: which way a group's sensor is off. */
+/* 1.0 or -1.0: sign of a group's sensor error. */
 static double sign_of(int group)
 {
     return (group - H) % 2 == 0 ? 1.0 : -1.0;
 }
 
-/* Kind of a group: a sensor's two signs are one. */
+/* Kind of a group: both signs of a sensor's error are one kind. */
 static int kind_of(int group)
 {
     return group < H ? group : H + (group - H) / 2;
 }
 
-/* A motor that is cooler than the model has no fault; a sensor's error has either sign. */
+/* A motor that is cooler than its model has no fault; an error of a sensor has either sign. */
 static int is_fault(int group, double size, double limit)
 {
     return size >= limit || (group >= H && -size >= limit);
@@ -44,20 +44,20 @@ static int is_fault(int group, double size, double limit)
 
 /* ---- Likelihoods ---- */
 
-/* Log density of Student's t up to a constant, unit scale. */
+/* Log density of Student's t up to a constant, for unit scale. */
 static double log_tail(const struct hypothesis_config *config, double x)
 {
     return -0.5 * (config->tail + 1.0) * elementary_log(1.0 + x * x / config->tail);
 }
 
-/* The same around a mean that is known to UNSURE of itself. */
+/* The same around a mean that is uncertain by UNSURE of itself. */
 static double log_unsure(const struct hypothesis_config *config, double x, double mean)
 {
     const double scale = sqrt(1.0 + square(UNSURE * mean));
     return log_tail(config, (x - mean) / scale) - elementary_log(scale);
 }
 
-/* What 1 K of a group is at point q. */
+/* Effect of 1 K of a group at point q. */
 static double unit_of(const double *shapes, int group, int q)
 {
     if (group < H)
@@ -65,7 +65,7 @@ static double unit_of(const double *shapes, int group, int q)
     return (group - H) / 2 == q ? sign_of(group) : 0.0;
 }
 
-/* Log likelihoods, of all states but loose connectors, of a sample z with all points. */
+/* Add the log likelihoods of all states but loose connectors, for a sample z with all points. */
 static void add_whole(const struct hypothesis_config *config,
                       const struct hypothesis_spread *spread, const double *shapes, const double *z,
                       double *says)
@@ -86,7 +86,7 @@ static void add_whole(const struct hypothesis_config *config,
     }
 }
 
-/* The same from the points that there are, each by itself. */
+/* The same from the points that have a reading, each separately. */
 static void add_points(const struct hypothesis_config *config,
                        const struct hypothesis_spread *spread, const double *shapes,
                        const double *z, double *says)
@@ -107,7 +107,7 @@ static void add_points(const struct hypothesis_config *config,
     }
 }
 
-/* Log likelihood ratio of a loose connector's reading, z off what is likely, to a good one. */
+/* Log likelihood ratio of a loose connector to a good one, for a reading that is off by z. */
 static double loose_ratio(const struct hypothesis_config *config, double z, double sigma)
 {
     if (!isfinite(z))
@@ -118,7 +118,7 @@ static double loose_ratio(const struct hypothesis_config *config, double z, doub
     return elementary_log(loose) - elementary_log(larger(good, 1e-300));
 }
 
-/* The same for point q beside what the other two make likely. */
+/* The same for point q relative to what the other two predict. */
 static double loose_of_whole(const struct hypothesis_config *config,
                              const struct hypothesis_spread *spread, const double *z, int q)
 {
@@ -172,14 +172,14 @@ static void move_group(const struct hypothesis_config *config, int group, double
     }
 }
 
-/* One step of the chain: probabilities before, after. */
+/* One step of the chain; p: probabilities before; out: after. */
 static void move(const struct hypothesis_config *config, const double *p, double *out)
 {
     out[0] = p[0] * (1.0 - config->begin - config->often) + (1.0 - p[0]) * config->end;
     for (int g = 0; g < GROUPS; g++)
         move_group(config, g, p[0], &p[1 + g * S], &out[1 + g * S]);
     for (int q = 0; q < Q; q++) {
-        /* Between two bursts nothing is wrong to be seen: that must not last. */
+        /* Between two bursts no fault is visible: this state must not last. */
         const double was = p[LOOSE + q];
         out[LOOSE + q] = (1.0 - config->loose_end) * was + p[0] * config->begin / (H + Q);
         out[0] += (config->loose_end - config->end) * was;
@@ -199,9 +199,9 @@ static void bayes(const double *moved, const double *says, double *p)
         p[n] /= total;
 }
 
-/* ---- What it says ---- */
+/* ---- Results ---- */
 
-/* Probabilities of the kinds. Of a kind that has been held for a fault lesser sizes belong to it too. */
+/* Probabilities of the kinds. For a kind that is held for a fault, smaller sizes count as well. */
 static void sum_kinds(const struct hypothesis_config *config, struct hypothesis_state *state)
 {
     for (int c = 0; c < THERMAL_KINDS; c++)
@@ -233,7 +233,7 @@ static void mean_sizes(const struct hypothesis_config *config, struct hypothesis
     state->rise_k = sensors > LEAST ? rise / sensors : 0.0;
 }
 
-/* Whether it is held and trusted, and its baseline, from off (Q) K beside its peers. */
+/* Decide what is held and trusted, and update the baseline; off (Q): K relative to the peers. */
 static void conclude(const struct hypothesis_config *config, const struct hypothesis_spread *spread,
                      const double *off, struct hypothesis_state *state)
 {
@@ -246,8 +246,8 @@ static void conclude(const struct hypothesis_config *config, const struct hypoth
     }
     state->held = state->kind[likeliest] > 0.5 ? likeliest : -1;
     state->trusted = 1.0 - any > 0.5;
-    /* Between its bursts a loose connector reads as a good one does: not learnt meanwhile, wear and
-     * dirt would pass for heat afterwards. */
+    /* Between its bursts a loose connector reads like a good one. If the baseline were not learnt
+     * then, wear and dirt would pass for heat afterwards. */
     const double rate = config->learn * (1.0 - lasting);
     for (int q = 0; q < Q; q++) {
         const double most = MOST_SIGMA * spread->sigma_k[q];

@@ -1,14 +1,14 @@
 /* Interacting multiple models (Blom and Bar-Shalom 1988): which fault, if any, explains what the
  * thermal model does not.
  *
- * A Kalman filter per explanation, of which one is true at a time: nothing but disturbances, which
- * every motor has; a kind of heat, whose size is a state; a sensor that is off. State vector x:
- * deviations of five lumps, K; five disturbances; the fault's size, K; how fast it creeps, K/s, which
- * only a sensor's does. In place of paper `thermal`, eq. (28)-(31): a filter without the faults among
+ * One Kalman filter per explanation, of which one is true at a time: only disturbances, which every
+ * motor has; a heat fault, whose size is a state; a sensor that is off. State vector x: deviations
+ * of five lumps, K; five disturbances; the fault's size, K; its creep rate, K/s, which only a
+ * sensor fault has. In place of paper `thermal`, eq. (28)-(31): a filter without the faults among
  * its explanations follows a fault.
  *
- * Nothing here can fail: weights that are divided by are probabilities above 0, as every mode keeps
- * LEAST and no fault begins or ends for certain; roots and logarithms are of numbers bounded from
+ * Nothing here can fail: divisors are probabilities above 0, as every mode keeps LEAST and no
+ * fault begins or ends with certainty; roots and logarithms are of numbers bounded from
  * below. */
 #include "estimators/thermal/imm.h"
 
@@ -22,15 +22,15 @@
 
 enum { L = THERMAL_LUMPS, N = IMM_STATES, SIZE = N - 2, RATE = N - 1 };
 
-/* K, of the lumps of a motor that has just begun: core and frame are not seen. */
+/* K, first standard deviations of the lumps: core and frame have no sensor. */
 static const double FIRST_K[L] = {0.3, 5.0, 2.0, 0.3, 0.3};
 
-/* Kinds of heat that one sensor alone may show: overheating, bearings. */
+/* Heat faults that one sensor alone may show: overheating, bearings. */
 static const int LOCAL_HEAT[THERMAL_POINTS] = {0, 2, 3};
 
-static const double LEAST = 1e-30;         /* probability of a mode */
-static const double LEAST_SHARE = 1e-12;   /* of a mixture, that is looked at */
-static const double LEAST_VARIANCE = 1e-9; /* K^2, of a size */
+static const double LEAST = 1e-30;         /* least probability of a mode */
+static const double LEAST_SHARE = 1e-12;   /* smaller shares of a mixture are skipped */
+static const double LEAST_VARIANCE = 1e-9; /* least variance of a size, K^2 */
 
 static int is_heat(int g)
 {
@@ -55,7 +55,7 @@ void imm_start(const struct imm_config *config, struct imm_state *state)
     }
 }
 
-/* Mode 0 after the chain: what stays healthy, or becomes so and forgets its size. */
+/* Mode 0 after the chain: the motor stays healthy, or becomes so and loses its size. */
 static void mix_healthy(const struct imm_state *from, int modes, const double *share,
                         struct imm_state *to)
 {
@@ -79,7 +79,7 @@ static void mix_healthy(const struct imm_state *from, int modes, const double *s
     }
 }
 
-/* Mode g after the chain: the fault goes on, or has just begun, `fresh` of it. */
+/* Mode g after the chain: the fault continues, or has just begun, with the share `fresh`. */
 static void mix_fault(const struct imm_config *config, const struct imm_state *from, int g,
                       double fresh, struct imm_state *to)
 {
@@ -120,7 +120,7 @@ void imm_mix(const struct imm_config *config, const struct imm_state *from, int 
     }
 }
 
-/* ---- A block, and what it says ---- */
+/* ---- One block, and its result ---- */
 
 /* Probability that a normal number with this mean and variance is above the limit. */
 static double above(double limit, double mean, double variance)
@@ -128,14 +128,14 @@ static double above(double limit, double mean, double variance)
     return 0.5 * elementary_erfc((limit - mean) / sqrt(2.0 * larger(variance, LEAST_VARIANCE)));
 }
 
-/* Log probability that a mode's size is above 0. */
+/* Log probability that the size of a mode is above 0. */
 static double log_warmer(const struct imm_state *state, int g)
 {
     const double p = above(0.0, state->mean[g][SIZE], state->cov[g][SIZE][SIZE]);
     return elementary_log(larger(p, LEAST));
 }
 
-/* Mode g through a block; its log likelihood. */
+/* Advance mode g by a block; returns its log likelihood. */
 static double advance_mode(const struct imm_config *config, const struct imm_surroundings *around,
                            const struct imm_prediction *by, int g, const struct imm_state *mixed,
                            const double *y, double noise, struct imm_state *state)
@@ -144,7 +144,7 @@ static double advance_mode(const struct imm_config *config, const struct imm_sur
     const double before = is_heat(g) ? log_warmer(state, g) : 0.0;
     const double says =
         imm_update(g, y, noise, config->wide_k, state->mean[g], &state->cov[g][0][0]);
-    /* No fault cools: of a normal size only what is above 0 explains anything. */
+    /* No fault cools: of a normal size, only the part above 0 is an explanation. */
     return is_heat(g) ? says + log_warmer(state, g) - before : says;
 }
 
@@ -154,8 +154,8 @@ double imm_advance(const struct imm_config *config, const struct imm_surrounding
     const int modes = config->modes < IMM_MODES ? config->modes : IMM_MODES;
     struct imm_state mixed;
     struct imm_prediction by;
-    /* While a fault is reported no other begins: one that did would write over an explanation that is
-     * less likely as yet, and what the fault really is would be forgotten. */
+    /* While a fault is reported no other begins: a new one would replace an explanation that is
+     * less likely as yet, and the actual fault would be lost. */
     const double begin = held || modes == 1 ? 0.0 : config->begin_per_s * config->block_s;
     imm_mix(config, state, modes, begin, config->end_per_s * config->block_s, &mixed);
     imm_prepare(config, around, &by);
@@ -173,7 +173,7 @@ double imm_advance(const struct imm_config *config, const struct imm_surrounding
     return top + elementary_log(total);
 }
 
-/* Probability that the reading that shows most is `shown_k` too warm. */
+/* Probability that the reading that shows most is warmer by `shown_k`. */
 static double shows(const struct imm_config *config, const struct imm_state *state, int g)
 {
     double most = 0.0;

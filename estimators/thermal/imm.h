@@ -5,25 +5,25 @@
 
 #include "gateway/core/records.h"
 
-/* Filters of a motor that has just begun: nothing is wrong, little is known. */
+/* Start the filters of a motor: it has no fault, and little is known. */
 void imm_start(const struct imm_config *config, struct imm_state *state);
 
-/* Response of the lumps over dt s: fade = exp(a dt), what is left of deviations, and its integral
- * gain, what a steady heat of 1 K/s has made of them. a, fade, gain (THERMAL_LUMPS, THERMAL_LUMPS). */
+/* Response of the lumps over dt s: fade = exp(a dt), the remainder of deviations, and its integral
+ * gain, the effect of a steady heat of 1 K/s. a, fade, gain: (THERMAL_LUMPS, THERMAL_LUMPS). */
 void imm_response(const double *a, double dt, double *fade, double *gain);
 
-/* Mixing: the Markov chain of the first `modes` modes, in which a fault begins with probability
- * `begin`, with a fresh size, and ends with `end`. */
+/* Mixing: the Markov chain of the first `modes` modes. A fault begins with probability
+ * `begin`, with a fresh size, and ends with probability `end`. */
 void imm_mix(const struct imm_config *config, const struct imm_state *from, int modes, double begin,
              double end, struct imm_state *to);
 
-/* One block of readings, dt s after the last: y (THERMAL_POINTS) K from the other motors', NaN
- * without. held: a fault is reported. The log likelihood. */
+/* Process one block of readings, dt s after the last: y (THERMAL_POINTS) K from the other motors',
+ * NaN without a reading. held: 1 if a fault is reported. Returns the log likelihood. */
 double imm_advance(const struct imm_config *config, const struct imm_surroundings *around,
                    const double *y, double noise, int held, struct imm_state *state);
 
-/* Fill kind (IMM_MODES - 1) with the probability of every kind of fault that is larger than what is
- * benign; the likely size of what is wrong, K. */
+/* Fill kind (IMM_MODES - 1) with the probability of every kind of fault that is larger than its
+ * benign size; returns the likely size of the fault, K. */
 double imm_kinds(const struct imm_config *config, const struct imm_state *state, double *kind);
 
 #endif

@@ -1,8 +1,8 @@
-/* Prediction of one motor's interacting filters over a block: how heat spreads between five lumps, what
- * disturbances and a fault add to it, and how sure that is.
+/* Prediction of one motor's interacting filters over a block: heat flow between five lumps, the
+ * contributions of disturbances and of a fault, and their uncertainty.
  *
  * Nothing here can fail: loops are bounded by constants, the halvings of a step by MOST_HALVINGS, and
- * the frame's rise that is divided by is above 0. */
+ * the rise of the frame, which divides, is above 0. */
 #include "estimators/thermal/imm_predict.h"
 
 #include <math.h>
@@ -13,9 +13,9 @@
 
 enum { L = THERMAL_LUMPS, N = IMM_STATES, SIZE = N - 2, RATE = N - 1 };
 enum { TAYLOR_ORDER = 12, MOST_HALVINGS = 60 };
-enum { COOLING = 2 }; /* mode whose heat grows with the frame's own rise over the air */
+enum { COOLING = 2 }; /* mode whose heat grows with the frame's own rise above the air */
 
-static const double LEAST_COOLING = 0.2; /* share of a frame's cooling, however cold it seems */
+static const double LEAST_COOLING = 0.2; /* least share of a frame's cooling, however cold it is */
 
 static int is_heat(int g)
 {
@@ -66,7 +66,7 @@ static struct square_5 diagonal_5(double value)
     return out;
 }
 
-/* Taylor's series of a step that is short enough, and doubling. */
+/* Taylor series of a step that is short enough, then doubling. */
 void imm_response(const double *a, double dt, double *fade, double *gain)
 {
     struct square_5 rates;
@@ -111,7 +111,7 @@ void imm_prepare(const struct imm_config *config, const struct imm_surroundings 
     out->keep = elementary_exp(-config->block_s / config->memory_s);
     for (int i = 0; i < N * N; i++)
         out->F[i / N][i % N] = 0.0;
-    const double root = sqrt(out->keep); /* a disturbance fades while it pushes */
+    const double root = sqrt(out->keep); /* a disturbance decays while it acts */
     for (int i = 0; i < L; i++) {
         for (int j = 0; j < L; j++) {
             double pushed = 0.0;
@@ -127,7 +127,7 @@ void imm_prepare(const struct imm_config *config, const struct imm_surroundings 
     out->F[RATE][RATE] = out->keep;
 }
 
-/* What 1 K of mode g's heat makes of the lumps in a block, x being the lumps before it. */
+/* Effect of 1 K of mode g's heat on the lumps in a block; x: lumps before it. */
 static void heat_of(const struct imm_surroundings *around, const struct imm_prediction *by, int g,
                     const double *x, double *heat)
 {
@@ -143,7 +143,7 @@ static void heat_of(const struct imm_surroundings *around, const struct imm_pred
     }
 }
 
-/* Process noise of mode g, whose state before the block was x; heat: see `heat_of`. */
+/* Add the process noise of mode g, whose state before the block was x; heat: see `heat_of`. */
 static void add_noise(const struct imm_config *config, const struct imm_prediction *by, int g,
                       const double *x, const double *heat, double P[N][N])
 {
@@ -152,7 +152,7 @@ static void add_noise(const struct imm_config *config, const struct imm_predicti
         P[i][i] += square(config->own_k) * config->block_s / 60.0;
         P[i][i] += square(config->unsure * (1.0 - by->F[i][i]) * x[i]);
         P[L + i][L + i] += square(config->sigma[i]) * fresh;
-        /* A fault begins anywhere in a block, and no heat is as steady as a number. */
+        /* A fault can begin anywhere in a block, and no heat is constant. */
         for (int j = 0; j < L; j++)
             P[i][j] += square(config->unsteady) * (heat[i] * x[SIZE]) * (heat[j] * x[SIZE]);
     }
@@ -163,7 +163,7 @@ static void add_noise(const struct imm_config *config, const struct imm_predicti
     P[RATE][RATE] += square(config->fault[g].creep_k_s) * fresh;
 }
 
-/* out = F P F' of mode g, whose column of the size is `heat`; most of F is zero. */
+/* out = F P F' of mode g, in which `heat` is the column of the size; most of F is zero. */
 static void transform(const struct imm_prediction *by, const double *heat, const double P[N][N],
                       double out[N][N])
 {

@@ -1,8 +1,8 @@
-/* Update of one filter of a motor by a block of readings: a Kalman filter's, but for blocks that are
- * not what they seem.
+/* Update of one motor's filter by a block of readings: that of a Kalman filter, extended by
+ * outlying blocks.
  *
  * Nothing here can fail: a pivot is at least the readings' variance, which is above 0, and the
- * likelier of two outcomes has a density of 1 over its own, so the logarithm is of at least 1. */
+ * likelier of two outcomes has density 1 relative to itself, so the logarithm is of at least 1. */
 #include "estimators/thermal/imm_update.h"
 
 #include <math.h>
@@ -12,18 +12,18 @@
 
 enum { N = IMM_STATES, SIZE = N - 2, Q = THERMAL_POINTS };
 
-static const double OUTLYING = 0.01; /* share of blocks that are not what they seem */
+static const double OUTLYING = 0.01; /* share of blocks that are outliers */
 
-/* Readings of one block beside what a mode expects, H x; without a reading all of it is 0. */
+/* Readings of one block less those that a mode predicts, H x; all 0 without a reading. */
 struct innovation {
     int seen[Q];       /* 1: there is a reading */
     double e[Q];       /* y - H x */
     double PH[N][Q];   /* P H' */
     double S[Q][Q];    /* H P H', without noise */
-    double root[Q][Q]; /* lower Cholesky factor of S and some noise */
+    double root[Q][Q]; /* lower Cholesky factor of S plus noise */
 };
 
-/* 1 if mode g is that of sensor q being off: it reads the size more. */
+/* 1 if mode g means that sensor q is off: its reading includes the size. */
 static int is_off(int g, int q)
 {
     return g == 1 + IMM_HEATS + q;
@@ -46,7 +46,7 @@ static void innovate(int g, const double *y, const double *x, const double *P,
             out->S[r][c] = out->PH[THERMAL_SEEN[r]][c] + (is_off(g, r) ? out->PH[SIZE][c] : 0.0);
 }
 
-/* Factor S + variance * 1; the determinant, of the readings that there are. */
+/* Factor S + variance * 1; returns the determinant for the readings that there are. */
 static double factor(struct innovation *by, double variance)
 {
     double determinant = 1.0;
@@ -87,7 +87,7 @@ static void solve_upper(const struct innovation *by, double *b)
     }
 }
 
-/* Log density of the innovation under this variance of the readings, up to a constant. */
+/* Log density of the innovation for this variance of the readings, up to a constant. */
 static double log_density(struct innovation *by, double variance)
 {
     double v[Q], sum = 0.0;
@@ -100,7 +100,7 @@ static double log_density(struct innovation *by, double variance)
     return -0.5 * sum - 0.5 * elementary_log(determinant);
 }
 
-/* Moments of the mixture of two outcomes: the block is what it seems, with probability p, or not. */
+/* Moments of the mixture of two outcomes: the block is normal, with probability p, or not. */
 static void mix_outcomes(const struct innovation *by, double p, double *x, double *P)
 {
     double gain[N][Q], moved[N];

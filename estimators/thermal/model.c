@@ -1,30 +1,30 @@
-/* A motor as five lumps of heat, driven by what is on the bus: currents, speed, ambient.
+/* Thermal model of a motor as five lumps, with the inputs on the bus: currents, speed, ambient.
  *
  *     winding      dw = a I^2 (1 + 0.0039 (w - 60)) - k_w (w - c)
  *     core         dc = k_c (w - c) + e_1 |W| + e_2 W^2 - g_c (c - f)
  *     frame        df = g_f (c - f) - (h_0 + h_1 |W|) (f - T_a)
  *     drive end    dd = k_d (f - d) + f_d |W| - b_d (d - T_a)       non-drive end alike
  *
- * per second; I amplitude of the current A, W rotor speed rad/s, T_a ambient degC. In place of paper
- * `thermal`, eq. (1), whose one lump has one time constant (estimators/thermal/heat.py says more).
+ * per second; I: amplitude of the current, A; W: rotor speed, rad/s; T_a: ambient, degC. In place
+ * of paper `thermal`, eq. (1), whose one lump has one time constant (estimators/thermal/heat.py).
  *
- * Nothing here can fail: floating-point division traps nowhere, and the divisors are above 0 while
- * rates are not negative and dt * 0.0039 a I^2 is below 1. Past that the result is no temperature,
- * and whoever compares it with a reading sees a motor that the model does not explain. */
+ * Nothing here can fail: floating-point division does not trap, and the divisors are above 0 while
+ * rates are not negative and dt * 0.0039 a I^2 is below 1. Otherwise the result is no temperature,
+ * and a comparison with readings finds a motor that the model does not explain. */
 #include "estimators/thermal/model.h"
 
 const int THERMAL_SEEN[THERMAL_POINTS] = {THERMAL_WINDING, THERMAL_DRIVE_END, THERMAL_OTHER_END};
 const double THERMAL_LEAST_RISE_K = 3.0;
 
-static const double SLOPE = 0.0039;   /* 1/K, of copper's resistance */
-static const double REFERENCE = 60.0; /* degC, at which `a` is told */
+static const double SLOPE = 0.0039;   /* 1/K, relative increase of copper's resistance */
+static const double REFERENCE = 60.0; /* degC, at which `a` is given */
 
 double thermal_model_resistance(double winding)
 {
     return 1.0 + SLOPE * (winding - REFERENCE);
 }
 
-/* An end: k from the frame, friction f by speed, b to the air. */
+/* Step of an end: k from the frame, friction f by speed, b to the air. */
 static double end_step(double k, double f, double b, double frame, const struct thermal_input *u,
                        double extra, double dt, double x)
 {

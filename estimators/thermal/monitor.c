@@ -1,11 +1,11 @@
-/* Thermal faults while they happen: blocks of residuals compared, every motor judged.
+/* Detection of thermal faults in operation: compares blocks of residuals and judges each motor.
  *
- * What a motor's readings differ by from its model (residuals.c) is taken together in blocks of seconds
- * (medians: noise and bursts do not count), less what the other motors differ by (peers.c), and goes
- * to the filters (imm.c). Bursts of loose connectors are told apart before.
+ * The residuals of a motor's readings from its model (residuals.c) are combined in blocks of
+ * seconds (medians, to suppress noise and bursts), less those of the other motors (peers.c), and
+ * passed to the filters (imm.c). Bursts of loose connectors are separated before.
  *
- * Nothing here can fail: counts of samples that are divided by are at least 1, probabilities are kept
- * between 0 and SUREST, and windows are cut to THERMAL_BLOCK_MAX. */
+ * Nothing here can fail: counts of samples that divide are at least 1, probabilities are kept
+ * between 0 and SUREST, and windows are limited to THERMAL_BLOCK_MAX. */
 #include "estimators/thermal/monitor.h"
 
 #include <math.h>
@@ -21,16 +21,16 @@
 
 enum { P = THERMAL_POINTS, SENSOR_KINDS = IMM_MODES - 1 };
 
-static const double MOST_LEARNT_K = 0.9; /* K, of one block's deviation that a baseline follows */
-static const double RETURNED_K = 2.0; /* K, a sensor that has crept and stepped is off by no more */
+static const double MOST_LEARNT_K = 0.9; /* K, largest deviation in a block that is learnt */
+static const double RETURNED_K = 2.0; /* K, largest offset of a sensor that crept and came back */
 static const double SUREST =
-    0.95; /* of a loose connector: it has to be forgotten when it is mended */
-static const double SURE = 1.0 - 1e-6; /* of a sensor that has stepped, to be off */
-static const double LEAST = 1e-300;    /* of a sum of probabilities that is divided by */
-/* A fault is reported until the first probability; what is reported is above one half. */
+    0.95; /* largest probability of a loose connector, so that a mended one is recognised */
+static const double SURE = 1.0 - 1e-6; /* probability that a sensor that has stepped is off */
+static const double LEAST = 1e-300;    /* least sum of probabilities that divides */
+/* A reported fault ends below the first probability; a reported probability is above one half. */
 static const double CLEAR = 0.3, HALF = 0.5;
 
-/* Readings of a block that there are, in order. */
+/* Copy the available readings of a block, in order; returns their number. */
 static int readings_of(const double *values, int block, double *out)
 {
     int n = 0;
@@ -40,8 +40,8 @@ static int readings_of(const double *values, int block, double *out)
     return n;
 }
 
-/* Median of the n readings of a block in values, which are left as they are; NaN of less than a
- * third. */
+/* Median of the n readings of a block in values, which are not changed; NaN if there are fewer than
+ * a third. */
 static double block_median(const double *values, int n, int block)
 {
     double sorted[THERMAL_BLOCK_MAX];
@@ -52,10 +52,10 @@ static double block_median(const double *values, int n, int block)
     return median_in_place(sorted, n);
 }
 
-/* Log odds that the n readings x of a block, around their median, speak for a loose connector.
+/* Log odds of a loose connector, from the n readings x of a block, around their median.
  *
- * Far readings at an edge of the block are those of a burst only if the sensor comes back: the next
- * block, or the last one, is where this one is. */
+ * Far readings at an edge of the block belong to a burst only if the sensor returns: the next
+ * block, or the last one, is at the same level as this one. */
 static double loose_log_odds(const struct thermal_config *config, const double *x, int n,
                              double middle, double far, struct thermal_burst *burst)
 {
@@ -82,7 +82,7 @@ static double loose_log_odds(const struct thermal_config *config, const double *
     return (odd * by_odd + near * by_near) / config->burst_length;
 }
 
-/* Medians and bursts of one motor's sensors. */
+/* Find medians and bursts of one motor's sensors. */
 static void summarise(const struct thermal_config *config, const struct thermal_motor_config *known,
                       struct thermal_motor *motor)
 {
@@ -97,7 +97,7 @@ static void summarise(const struct thermal_config *config, const struct thermal_
     }
 }
 
-/* A motor that is compared with others than before may stand as much elsewhere as they do: shift K. */
+/* A motor that is compared with other motors than before may differ by as much as they: shift K. */
 static void widen_seen(struct thermal_motor *motor, int q, double shift)
 {
     if (!isfinite(shift))
@@ -106,7 +106,7 @@ static void widen_seen(struct thermal_motor *motor, int q, double shift)
         motor->imm.cov[g][THERMAL_SEEN[q]][THERMAL_SEEN[q]] += shift * shift;
 }
 
-/* A sensor that had crept away and steps back is where it was. */
+/* A sensor that had crept away and steps back has no offset. */
 static void forget_return(struct thermal_motor *motor, int q)
 {
     const int g = 1 + IMM_HEATS + q;
@@ -115,7 +115,7 @@ static void forget_return(struct thermal_motor *motor, int q)
         motor->step[q].offset_k = 0.0;
 }
 
-/* Inputs from the middle of the last block to that of this one. */
+/* Inputs from the middle of the last block to the middle of this one. */
 static void read_inputs(struct thermal_motor *motor)
 {
     const struct thermal_sums *first = &motor->half[0], *late = &motor->late;
@@ -165,7 +165,7 @@ void thermal_close_block(const struct thermal_config *config,
 void thermal_surroundings(const struct thermal_config *config, const struct thermal_parameters *p,
                           const struct thermal_sums *inputs, struct imm_surroundings *out)
 {
-    const double n = larger(inputs->count, 1.0); /* a block in a short gap has no inputs at all */
+    const double n = larger(inputs->count, 1.0); /* a block in a short gap has no inputs */
     const double current_square = inputs->current_square / n, speed = inputs->speed / n;
     const double cooling = inputs->cooling / n, copper = inputs->copper / n;
     const double *settles = config->settles_k;
@@ -187,12 +187,12 @@ void thermal_surroundings(const struct thermal_config *config, const struct ther
     out->heats[4][THERMAL_WINDING] = copper / config->duty_copper / settles[THERMAL_WINDING];
 }
 
-/* Probability of each connector to be loose, from the last block's log odds. */
+/* Update the probability that each connector is loose, by the last block's log odds. */
 static void judge_connectors(const struct thermal_config *config, struct thermal_motor *motor)
 {
     const double dt = config->imm.block_s;
     for (int q = 0; q < P; q++) {
-        if (!isnan(motor->bursts[q])) { /* without readings what was believed stands */
+        if (!isnan(motor->bursts[q])) { /* without readings the probability stays */
             const double p = motor->loose[q];
             const double now = p * (1.0 - config->loose_end_per_s * dt) +
                                (1.0 - p) * config->loose_begin_per_s * dt;
@@ -204,7 +204,7 @@ static void judge_connectors(const struct thermal_config *config, struct thermal
     }
 }
 
-/* Hysteresis: the kinds' sum is above one half where a fault is reported, and below where none is. */
+/* Hysteresis: the sum over kinds is above one half if a fault is reported, and below if not. */
 static void hold(const struct thermal_config *config, struct thermal_motor *motor)
 {
     double total = 0.0;
@@ -219,7 +219,7 @@ static void hold(const struct thermal_config *config, struct thermal_motor *moto
         motor->kind[c] *= shown / larger(total, LEAST);
 }
 
-/* Filters of a motor that its model explains less well than they expect. */
+/* Settings of the filters of a motor that its model explains less well than they assume. */
 static struct imm_config inflated(const struct thermal_config *config,
                                   const struct thermal_motor_config *known)
 {
@@ -250,7 +250,7 @@ void thermal_judge_block(const struct thermal_config *config,
     motor->judged += 1;
 }
 
-/* ---- all motors, sample by sample */
+/* ---- All motors, sample by sample */
 
 void thermal_monitor_judge(struct thermal_monitor *all, int count)
 {
@@ -280,7 +280,7 @@ void thermal_monitor_close_block(struct thermal_monitor *all)
     all->waiting = all->motor_count;
 }
 
-/* ---- what is known of motors */
+/* ---- Results for the motors */
 
 static void kinds_of(const struct thermal_motor *motor, double *kind)
 {
@@ -315,12 +315,12 @@ double thermal_likelihood(const struct thermal_config *config,
         thermal_surroundings(config, &known->model, &inputs[k], &around);
         const double says = imm_advance(&config->imm, &around, off + (int64_t)k * P,
                                         known->block_noise_k, 0, &state);
-        total += k > 0 ? says : 0.0; /* the first block is the start's */
+        total += k > 0 ? says : 0.0; /* the first block only sets the start */
     }
     return total;
 }
 
-/* Readings that a filter expects, and their covariance, without noise. */
+/* Readings that a filter predicts, and their covariance, without noise. */
 static void read_expected(const struct imm_state *state, double *mean, double *cov)
 {
     for (int q = 0; q < P; q++) {

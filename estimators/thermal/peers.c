@@ -1,7 +1,7 @@
-/* What the other motors of a train say of one: the median of theirs. A mean is pulled by the fault
- * itself; weather and duty that the model does not know are the same for all.
+/* Residual of one motor's peers, the other motors of a train: their median. The fault itself would
+ * pull a mean; weather and duty that the model does not include are the same for all.
  *
- * Nothing here can fail: ranks are below the count of numbers that they are ranks in, as at least one
+ * Nothing here can fail: ranks are below the count of the numbers that they index, as at least one
  * other motor is left wherever a middle is looked up. */
 #include "estimators/thermal/peers.h"
 
@@ -10,14 +10,14 @@
 #include "estimators/order_statistics.h"
 #include "gateway/core/records.h"
 
-static const double TWO_APART_K = 3.0; /* K, twice what passes for dirt and wear of a sensor */
+static const double TWO_APART_K = 3.0; /* K, twice the usual effect of dirt and wear of a sensor */
 
-/* Who is compared with, at one point. */
+/* Motors that are compared with, at one point. */
 struct comparison {
-    int motors;    /* of the train */
-    int everybody; /* 1: those that are not trusted as well */
-    int needed;    /* others that one must have */
-    int count;     /* motors that are compared with */
+    int motors;    /* number of motors of the train */
+    int everybody; /* 1: motors that are not trusted are included */
+    int needed;    /* least number of others that a motor needs */
+    int count;     /* number of motors that are compared with */
 };
 
 static struct comparison whom(const double *u, const uint8_t *trusted, int motors)
@@ -29,7 +29,7 @@ static struct comparison whom(const double *u, const uint8_t *trusted, int motor
         seen += here;
         good += here && trusted[m];
     }
-    /* Of three motors two are left beside a suspect: each has the other. */
+    /* Of three motors two are left beside a suspect: each is compared with the other. */
     const int three = good == least && seen == least + 1;
     struct comparison out = {.motors = motors, .needed = three ? 1 : least};
     out.everybody = (good <= least && least < seen && !three) || good < least;
@@ -37,7 +37,7 @@ static struct comparison whom(const double *u, const uint8_t *trusted, int motor
     return out;
 }
 
-/* Of a motor that reads `own`, itself among the `count` sorted numbers if inside. */
+/* Reference of a motor that reads `own`, which is among the `count` sorted numbers if inside. */
 static double reference(const struct comparison *with, const double *sorted, double own, int inside)
 {
     const int others = with->count - inside;
@@ -46,8 +46,8 @@ static double reference(const struct comparison *with, const double *sorted, dou
     if (others < with->needed)
         return NAN;
     const struct middle_pair middle = middle_of_others(sorted, others, inside ? own : NAN);
-    /* Three motors, all trusted, two of them far apart: one is ill, and the mean of the two would
-     * make a healthy third ill the other way round. The one nearer to the model counts. */
+    /* Three motors, all trusted, two of them far apart: one is faulty. The mean of the two would
+     * make a healthy third seem faulty the other way round. The one nearer to the model counts. */
     if (with->motors == 3 && others == 2 && middle.above - middle.below > TWO_APART_K)
         return fabs(middle.above) < fabs(middle.below) ? middle.above : middle.below;
     return 0.5 * (middle.below + middle.above);

@@ -1,9 +1,9 @@
-/* Residuals of every motor's readings, sample by sample: its heat (model.c) runs open loop beside it,
- * from the currents, the speed and the ambient temperature on the bus. Steps of sensors
- * (step_detector.c) are taken off.
+/* Residuals of every motor's readings, sample by sample: its model (model.c) runs open loop beside
+ * it, with the currents, the speed and the ambient temperature on the bus. Steps of sensors
+ * (step_detector.c) are removed.
  *
- * Nothing here can fail: rates that are divided by are above 0 (`identify` seeks their logarithms), and
- * windows and blocks are at most THERMAL_BLOCK_MAX long (`struct thermal_config`). */
+ * Nothing here can fail: rates that divide are above 0 (`identify` finds their logarithms), and
+ * windows and blocks have at most THERMAL_BLOCK_MAX samples (`struct thermal_config`). */
 #include "estimators/thermal/residuals.h"
 
 #include <math.h>
@@ -31,7 +31,7 @@ void thermal_motor_reset(const struct thermal_config *config, struct thermal_mot
     }
 }
 
-/* An end of the motor: rates to frame and air, friction. */
+/* Constants of an end of the motor: rates to frame and air, friction. */
 struct end {
     double k, f, b;
 };
@@ -43,7 +43,7 @@ static struct end end_of(const struct thermal_parameters *p, int q)
     return (struct end){p->k_n, p->f_n, p->b_n};
 }
 
-/* The frame is as warm as the ends that are seen say, their friction taken off, or half way from the
+/* The frame is as warm as the measured ends indicate, without their friction, or half way from the
  * winding to the air. The core is half way from the winding to the frame. */
 int thermal_motor_start(const struct thermal_parameters *p, const struct thermal_input *u,
                         const double *reading, double *x)
@@ -87,7 +87,7 @@ static void add_inputs(const struct thermal_parameters *p, const struct thermal_
     sums->count += 1.0;
 }
 
-/* The residual of one sensor, the k-th of its block; NaN without a reading. */
+/* Add the residual of one sensor, the k-th of its block; NaN without a reading. */
 static void add_residual(const struct thermal_config *config, struct thermal_motor *motor, int q,
                          int k, double residual)
 {
@@ -109,8 +109,8 @@ static int is_known(const struct thermal_input *u)
     return isfinite(u->current_square) && isfinite(u->speed) && isfinite(u->ambient);
 }
 
-/* Nobody sees the core of a motor that has just started: it may be as warm as the winding, or as the
- * frame. */
+/* The core of a motor that has just started is not measured: it may be as warm as the winding, or
+ * as the frame. */
 static void widen_core(struct thermal_motor *motor)
 {
     const double span = motor->lumps[THERMAL_WINDING] - motor->lumps[THERMAL_FRAME];
@@ -123,7 +123,7 @@ static void add_sample(const struct thermal_config *config,
                        const double *reading, const struct thermal_input *u)
 {
     const struct thermal_parameters *p = &known->model;
-    double since = config->dt_s + motor->unknown_s; /* in a gap the motor has gone on */
+    double since = config->dt_s + motor->unknown_s; /* in a gap the motor has continued to run */
     motor->unknown_s = is_known(u) ? 0.0 : since;
     motor->lost = motor->started && motor->unknown_s > config->gap_s;
     for (int q = 0; q < P; q++)

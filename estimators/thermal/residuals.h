@@ -4,15 +4,15 @@
 
 #include "gateway/core/records.h"
 
-/* A motor that nothing is known of; it starts with its next readings. */
+/* Reset a motor to nothing known; it starts with its next readings. */
 void thermal_motor_reset(const struct thermal_config *config, struct thermal_motor *motor);
 
-/* Lumps x (THERMAL_LUMPS) degC of a motor with readings (THERMAL_POINTS) degC, NaN without: 1. 0: no
- * reading at all, x is as it was. */
+/* Find the lumps x (THERMAL_LUMPS) degC of a motor with readings (THERMAL_POINTS) degC, NaN
+ * without; returns 1. 0: there is no reading at all, x is not changed. */
 int thermal_motor_start(const struct thermal_parameters *p, const struct thermal_input *u,
                         const double *reading, double *x);
 
-/* One sample of all motors, the k-th of a block: reading (motors, THERMAL_POINTS) degC, input
+/* Add one sample of all motors, the k-th of a block: reading (motors, THERMAL_POINTS) degC, input
  * (motors), NaN without. A motor whose inputs were unknown for too long is reset, and is `lost`. */
 void thermal_add_sample(const struct thermal_config *config,
                         const struct thermal_motor_config *known, struct thermal_motor *motor,

@@ -1,10 +1,10 @@
 /* Sigma-mixed unscented Kalman filter: paper `thermal`, Algorithm 1, eq. (19)-(21), (28).
  *
- * The three points of a motor are the state. After the prediction the sigma points of all three, each
- * less its usual distance from their mean, are pooled, a mixture is fitted to the pool (EM), and its
- * mean is the mixed state, the prior's common part.
+ * The three points of a motor are the state. After the prediction the sigma points of all three,
+ * each less its usual distance from their mean, are pooled, and a mixture is fitted to the pool
+ * (EM). Its mean is the mixed state, the common part of the prior.
  *
- * Corrections: weights W_i = 1/(2 (n + kappa)), i > 0, so that they add up to 1 whatever kappa is; the
+ * Corrections: weights W_i = 1/(2 (n + kappa)), i > 0, so that their sum is 1 for any kappa; the
  * columns of the square root; (28) is x+ = x- + K (y - y-hat): as printed it predicts twice.
  *
  * Nothing here can fail: n + kappa is above 0, a root is of at least LEAST_PIVOT, and a reading's
@@ -20,8 +20,8 @@
 #define SIGMA_POINTS (2 * N + 1)
 #define POOL         (SIGMA_POINTS * N)
 #define ITERATIONS   10
-static const double FLOOR = 1e-4;        /* K^2, of a component's variance */
-static const double LEAST_PIVOT = 1e-12; /* of a Cholesky factor, K^2 */
+static const double FLOOR = 1e-4;        /* K^2, least variance of a component */
+static const double LEAST_PIVOT = 1e-12; /* K^2, least pivot of a Cholesky factor */
 
 /* Mean and covariance of a motor's three points. */
 struct belief {
@@ -33,7 +33,7 @@ struct sigma_points {
     double x[SIGMA_POINTS][N];
 };
 
-/* Lower factor L of scale * P, symmetric and positive definite. */
+/* Lower factor L of scale * P, which is symmetric and positive definite. */
 static void root(double scale, const struct belief *b, double L[N][N])
 {
     for (int j = 0; j < N; j++) {
@@ -85,7 +85,7 @@ static void moments(double kappa, const struct sigma_points *points, struct beli
     }
 }
 
-/* Every point goes on towards where its inputs drive it, `last` until now. */
+/* Each point moves towards where its inputs drive it, which was `last` until now. */
 static void predict(const struct sigma_mixed_config *config, const struct sigma_mixed_sample *now,
                     const double *last, struct belief *b)
 {
@@ -100,7 +100,7 @@ static void predict(const struct sigma_mixed_config *config, const struct sigma_
         b->P[p][p] += config->q[p] * (1.0 - now->keep[p] * now->keep[p]);
 }
 
-/* (9)-(21): the mixed state; the prior's common part goes towards it. */
+/* (9)-(21): compute the mixed state; the common part of the prior moves towards it. */
 static double mix(const struct sigma_mixed_config *config, struct belief *b)
 {
     struct sigma_points points;
@@ -124,7 +124,7 @@ static double mix(const struct sigma_mixed_config *config, struct belief *b)
     return common;
 }
 
-/* (28) for one point's reading: y = x_p + v, so that P_xy is a column of P. */
+/* (28) for the reading of one point: y = x_p + v, so that P_xy is a column of P. */
 static void update(struct belief *b, int p, double y, double r)
 {
     const double s = b->P[p][p] + r;

@@ -4,8 +4,8 @@
 
 #include "gateway/core/records.h"
 
-/* All samples (count) of one motor: fills state (count, THERMAL_POINTS) degC after each update, and
- * mixed (count): the mixed state. */
+/* Process all samples (count) of one motor: fills state (count, THERMAL_POINTS) degC after each
+ * update, and mixed (count): the mixed state. */
 void sigma_mixed_run(const struct sigma_mixed_config *config,
                      const struct sigma_mixed_sample *samples, int64_t count, double *state,
                      double *mixed);

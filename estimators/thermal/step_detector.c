@@ -1,8 +1,8 @@
-/* Steps of sensors: nothing of 850 kg warms by kelvins within seconds. Not in paper `thermal`.
+/* Steps of sensors: no motor of 850 kg warms by kelvins within seconds. Not in paper `thermal`.
  *
- * The residuals' median over the last seconds is compared with that over those before. Where they are
- * more than `step_k` apart, the medians are compared again when what follows has settled: a burst of a
- * loose connector is over by then, a step is not. Steps add up to the sensor's offset.
+ * The median of the residuals over the last seconds is compared with that of the time before. If
+ * they are more than `step_k` apart, the medians are compared again when the readings have settled:
+ * a burst of a loose connector is over by then, a step is not. Steps add up to the sensor's offset.
  *
  * Nothing here can fail: windows are at most STEP_WINDOW_MAX long (`struct step_config`), and a trend
  * over no samples at all is NaN, as one over too few readings is. */
@@ -13,14 +13,14 @@
 #include "estimators/numbers.h"
 #include "estimators/order_statistics.h"
 
-enum { MEDIAN_NEEDS = 3 }; /* readings */
+enum { MEDIAN_NEEDS = 3 }; /* least number of readings */
 
 int step_window(const struct step_config *config)
 {
     return config->before + config->after + config->settled;
 }
 
-/* Median of the readings in x[first] .. x[end - 1]; NaN of fewer than MEDIAN_NEEDS. */
+/* Median of the readings in x[first] .. x[end - 1]; NaN for fewer than MEDIAN_NEEDS. */
 static double median(const double *x, int first, int end)
 {
     double values[STEP_WINDOW_MAX];
@@ -31,14 +31,14 @@ static double median(const double *x, int first, int end)
     return n >= MEDIAN_NEEDS ? median_in_place(values, n) : NAN;
 }
 
-/* A line through the medians of the halves of a stretch of residuals. */
+/* A line through the medians of the two halves of a stretch of residuals. */
 struct line {
     double at;    /* sample at which it is `value` */
     double value; /* K */
     double slope; /* K per sample */
 };
 
-/* Of x[first] .. x[end - 1]; NaN of too few readings. */
+/* Trend of x[first] .. x[end - 1]; NaN for too few readings. */
 static struct line trend(const double *x, int first, int end)
 {
     const int middle = (first + end) / 2;
@@ -51,11 +51,11 @@ static struct line trend(const double *x, int first, int end)
     };
 }
 
-/* K that x jumps by behind the first `before` samples; NaN of too few readings.
+/* Jump of x after the first `before` samples, K; NaN for too few readings.
  *
- * What came then less what was to be expected: what would have come of the trend before, or of the
+ * The jump is the later readings less what was to be expected: the continued trend before, or the
  * trend after if that explains more. A winding that begins to warm by 0.1 K/s bends, it does not
- * jump. Over a gap: the level. */
+ * jump. Over a gap: less the level. */
 static double jump(const struct step_config *config, const double *x, double level)
 {
     const int before = config->before, after = config->after;
@@ -91,14 +91,14 @@ static void settle(const struct step_config *config, struct step_state *state, c
     if (isfinite(moved))
         state->since = -1;
     else
-        state->since = config->settled; /* too few readings since: look again at the next sample */
+        state->since = config->settled; /* too few readings since: try again at the next sample */
 }
 
-/* The level before the last samples, and how it moves while the sensor has no offset. */
+/* Update the level before the last samples, and its drift while the sensor has no offset. */
 static void update_level(const struct step_config *config, struct step_state *state, double now)
 {
     state->unseen = isfinite(now) ? 0 : state->unseen + (state->unseen <= config->settled);
-    /* Over a short gap the level is what it was; over a long one anything may warm. */
+    /* Over a short gap the level is kept; over a long one anything may warm. */
     if (isfinite(now) || state->unseen > config->settled)
         state->level_k = now;
     const double level = state->level_k;
@@ -106,7 +106,7 @@ static void update_level(const struct step_config *config, struct step_state *st
         const double home = isnan(state->home_k) ? level : state->home_k;
         state->home_k = home + clamp(level - home, -config->drift_k, config->drift_k);
     } else if (fabs(level - state->home_k) < config->back_k) {
-        state->offset_k = 0.0; /* it was two bursts in a row, or has crept back */
+        state->offset_k = 0.0; /* it was two bursts in a row, or the sensor has crept back */
     }
 }
 
@@ -119,7 +119,7 @@ void step_add_sample(const struct step_config *config, struct step_state *state,
     const int size = step_window(config);
     const int recent = size - config->after;
     update_level(config, state, median(x, recent - config->before, recent));
-    /* A median that is NaN is far from nothing. */
+    /* A comparison with NaN finds no step. */
     if (fabs(median(x, recent, size) - state->level_k) > config->step_k)
         state->since = 0;
 }

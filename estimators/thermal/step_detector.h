@@ -1,17 +1,17 @@
-/* Steps of sensors: nothing of 850 kg warms by kelvins within seconds. */
+/* Steps of sensors: no motor of 850 kg warms by kelvins within seconds. */
 #ifndef TRACTION_STEP_DETECTOR_H
 #define TRACTION_STEP_DETECTOR_H
 
 #include "gateway/core/records.h"
 
-/* Samples that the detector looks at: before + after + settled. */
+/* Number of samples that the detector uses: before + after + settled. */
 int step_window(const struct step_config *config);
 
-/* A sensor that nothing is known of. */
+/* Reset a sensor to nothing known. */
 void step_reset(struct step_state *state);
 
-/* One more sample: x, the latest `step_window` residuals K (reading less model), the newest last, NaN
- * without a reading. */
+/* Add one more sample: x, the latest `step_window` residuals K (reading less model), the newest
+ * last, NaN without a reading. */
 void step_add_sample(const struct step_config *config, struct step_state *state, const double *x);
 
 /* Fill out (count) K: offset of one sensor after each of its residuals x (count). */

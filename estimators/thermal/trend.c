@@ -1,8 +1,8 @@
-/* How fast a motor grows warmer than the others: a local linear trend (Harvey 1989).
+/* Degradation: how fast a motor grows warmer than the others, a local linear trend (Harvey 1989).
  *
- * The level walks, and so does the rate, slowly. What is observed is what neither the thermal model
- * nor the other motors explain. Jumps are no part of it: a level may step, a rate does not (paper
- * `thermal`, eq. (22)-(27), has both, offline).
+ * The level does a random walk, and so does the rate, slowly. What neither the thermal model nor
+ * the other motors explain is observed. Jumps are not included: a level may step, a rate does not
+ * (paper `thermal`, eq. (22)-(27), has both, offline).
  *
  * Nothing here can fail: the one divisor is a variance plus that of a reading, which is above 0. */
 #include "estimators/thermal/trend.h"
@@ -11,14 +11,14 @@
 
 #include "estimators/numbers.h"
 
-static const double LEVEL_K = 0.2;    /* K, walk of the level in an hour */
-static const double RATE_K_H = 0.005; /* K/h, walk of the rate in an hour */
-/* K, of a block's deviation: what wanders for a quarter of an hour does not average out. */
+static const double LEVEL_K = 0.2;    /* K, random walk of the level in an hour */
+static const double RATE_K_H = 0.005; /* K/h, random walk of the rate in an hour */
+/* K, error of a block's deviation: what varies over a quarter of an hour does not average out. */
 static const double READING_K = 0.5;
-static const double JUMP_K = 3.0; /* further off: the level follows at once, the rate not at all */
+static const double JUMP_K = 3.0; /* a larger error: the level follows at once, the rate never */
 static const double FIRST_RATE_K_H = 1.0;
-static const double ENOUGH_H = 1.0; /* h of readings before a rate is known */
-static const double SURE = 2.0;     /* standard deviations by which a motor must grow warmer */
+static const double ENOUGH_H = 1.0; /* h of readings after which a rate is known */
+static const double SURE = 2.0;     /* standard deviations by which the rate must exceed 0 */
 
 void trend_reset(struct trend *trend)
 {
@@ -84,6 +84,6 @@ double trend_sigma_k_h(const struct trend *trend)
 double trend_hours_to(const struct trend *trend, double limit_k)
 {
     const double rate = trend_rate_k_h(trend), sigma = trend_sigma_k_h(trend);
-    const int grows = rate > SURE * sigma && trend->level_k < limit_k; /* no: with a NaN */
+    const int grows = rate > SURE * sigma && trend->level_k < limit_k; /* false with a NaN */
     return grows ? (limit_k - trend->level_k) / rate : NAN;
 }

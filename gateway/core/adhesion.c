@@ -1,9 +1,9 @@
-/* Which drives have lost adhesion.
+/* Detection of drives that have lost adhesion.
  *
- * Two views are fused. Drives are compared with one another by the detector: each normalised to
- * full command, to the direction of the train and to its own learnt ratio. And the load of every
- * drive is compared with its own command, which sees what no comparison can: all drives lost at
- * once, and a drive alone.
+ * Two criteria are fused. The detector compares the drives with one another; their loads are
+ * normalised to full command, to the direction of the train and to the learnt ratio of each drive.
+ * And the load of each drive is compared with its own command, which detects what no comparison
+ * can: a loss of all drives at once, and a loss of a drive that runs alone.
  *
  * Nothing here can fail: the one divisor is a constant, comparisons with NaN are false, and each is
  * written so that false is the safe answer. */
@@ -22,21 +22,21 @@
 #include "gateway/core/switching_loss.h"
 #include "gateway/core/train.h"
 
-/* Loads differ by this share, standard deviation, for some seconds: curves, load steps. Too short to
- * be learnt. */
+/* Loads differ by this standard deviation for some seconds: curves, load steps. That is too short
+ * to be learnt. */
 #define TRANSIENT_SPREAD 0.035
-/* Common load down to which, and from which on, drives are compared: with less, a lost wheel is as
- * good as one that holds. */
+/* Drives are compared from a common load of MORE_LOAD on, down to LEAST_LOAD: with less load, a
+ * lost wheel cannot be distinguished from one that adheres. */
 #define LEAST_LOAD 0.07
 #define MORE_LOAD  0.10
 #define LOAD_TAU_S 0.2 /* time constant of that common load: noise must not decide */
-/* Share of the load that is missing, and in sigma, from which on noise is not the cause. */
+/* Missing load from which on noise is not the cause: share of the load, and multiple of sigma. */
 #define SEVERE_SHARE 0.35
 #define SEVERE_SIGMA 6.0
-/* A loss more probable than this is not learnt from. Not less: learning only what looks best would
- * be learning something better than it is. */
+/* A drive with a more probable loss is not learnt from. The limit is not lower: learning only from
+ * the best-looking loads would make the reference too good. */
 #define PROBABLY_GOOD 0.5
-#define SETTLED_NS    300000000 /* a load is learnt from once it has been known for so long */
+#define SETTLED_NS    300000000 /* a load is learnt from after it has been known for this time */
 
 void adhesion_reset(struct adhesion *a, double spread)
 {
@@ -67,7 +67,7 @@ void adhesion_reset(struct adhesion *a, double spread)
 
 /* ---- Before the detector ---- */
 
-/* Commands that cannot be right, and drives that cannot be judged. */
+/* Find commands that cannot be right, and drives that cannot be judged. */
 static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
                         const struct input_status *inputs, const struct drive_input *drives,
                         const struct drive_status *status, int64_t now_ns)
@@ -97,8 +97,8 @@ static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
     }
 }
 
-/* Which loads are a measure for others. A wheel that slides is lost whatever it carries, and as it grips
- * again it carries more than one that adheres, the other way if it had come to turn backwards. */
+/* Find loads that are a measure for others. A wheel that slides is lost whatever it carries. When
+ * it grips it carries more than one that adheres, with the opposite sign if it turned backwards. */
 static void find_compared(struct adhesion *a)
 {
     double total = 0.0;
@@ -143,7 +143,7 @@ void adhesion_detect(struct adhesion *a)
 
 /* ---- After the detector ---- */
 
-/* What every drive says by itself. Returns 1 if the load of one answers a new command. */
+/* Judge every drive by its own command response. Returns 1 if a load answers a new command. */
 static int respond_alone(struct adhesion *a)
 {
     int answered = 0;
@@ -151,7 +151,7 @@ static int respond_alone(struct adhesion *a)
         struct drive_load *mine = &a->loads[k];
         mine->p_response = respond(&a->responses[k], &a->response_spread, &a->response_ratios[k],
                                    a->tick_s, &mine->response_valid);
-        /* An odd command accuses nobody. */
+        /* An odd command is no evidence of a loss. */
         if (a->rotors[k].odd_s > 0.0)
             mine->p_response = smaller(UNDECIDED, mine->p_response);
         follow_braked(&a->rotors[k], a->responses[k].braked, a->tick_s);
@@ -168,8 +168,8 @@ static int any_compared(const struct adhesion *a)
     return 0;
 }
 
-/* Follows the load that drives share: whether it can be compared. 1: so little that it accuses
- * nobody. */
+/* Follow the common load, and whether it is large enough for a comparison. Returns 1 if it is too
+ * small to be evidence of a loss of one drive. */
 static int follow_common(struct adhesion *a)
 {
     if (!any_compared(a)) {
@@ -184,7 +184,7 @@ static int follow_common(struct adhesion *a)
     return smaller(fabs(a->common), smoothed) < MORE_LOAD;
 }
 
-/* A comparison of drives that carry next to nothing is none. */
+/* A comparison of drives that carry next to nothing is not valid. */
 static void limit_comparison(struct adhesion *a, int little)
 {
     for (int k = 0; k < a->n; k++) {
@@ -193,7 +193,7 @@ static void limit_comparison(struct adhesion *a, int little)
     }
 }
 
-/* One probability of a loss from both views. */
+/* Fuse both criteria into one probability of a loss. */
 static void fuse_views(struct adhesion *a, int64_t now_ns)
 {
     for (int k = 0; k < a->n; k++) {
@@ -201,7 +201,7 @@ static void fuse_views(struct adhesion *a, int64_t now_ns)
         const struct drive_load *mine = &a->loads[k];
         double p = fuse_loss(&a->responses[k], a->loss_probability[k], a->loss_known[k],
                              mine->p_response, mine->response_valid, r->away);
-        /* Nor is a drive lost that carries more than it is asked to. */
+        /* A drive that carries more than it is asked for is not lost either. */
         const int unreliable = now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0;
         if (unreliable && p > UNDECIDED) {
             p = UNDECIDED;
@@ -212,7 +212,7 @@ static void fuse_views(struct adhesion *a, int64_t now_ns)
     }
 }
 
-/* Since when loads are known. */
+/* Note since when the loads have been known. */
 static void note_known(struct adhesion *a, int64_t now_ns)
 {
     for (int k = 0; k < a->n; k++) {
@@ -234,8 +234,8 @@ static void find_severe(struct adhesion *a)
     }
 }
 
-/* Evidence of a loss of all drives at once. One that holds says no; yes needs all known. Drives that
- * coast say nothing. */
+/* Evidence of a loss of all drives at once. One drive that adheres rules it out; to confirm it, all
+ * loads must be known. Drives that coast are no evidence. */
 static int common_mode_evidence(const struct adhesion *a)
 {
     int usable = 1, all_known = 1, any_driven = 0;
@@ -256,12 +256,12 @@ static int common_mode_evidence(const struct adhesion *a)
 
 /* ---- What is learnt ---- */
 
-/* Drives that may be learnt from: none while any is lost, or finds its grip again. */
+/* Drives that may be learnt from: none while any drive is lost or regains its grip. */
 static void find_healthy(struct adhesion *a, const struct drive_input *drives,
                          const struct drive_status *status, int64_t now_ns)
 {
     for (int k = 0; k < a->n; k++)
-        /* A drive that is cut out keeps its flag, and stops nobody from learning. */
+        /* A drive that is cut out keeps its flag, but does not stop the others from learning. */
         if (status[k].flag[FLAG_ADHESION].state == FLAG_BAD && drives[k].operating)
             a->flagged_ns = now_ns;
     const int shaken = is_soon_after(a->flagged_ns, now_ns);
@@ -288,7 +288,7 @@ static void learn_differences(struct adhesion *a)
     update_ratios(&a->spread, a->ratios, a->observed, a->n, 1);
 }
 
-/* Responses from every new command (`answered`), differences every LEARN_PERIOD_S. */
+/* Learn responses from every new command (`answered`), and differences every LEARN_PERIOD_S. */
 static void learn(struct adhesion *a, int answered, const struct drive_input *drives,
                   const struct drive_status *status, int64_t now_ns)
 {
@@ -305,7 +305,7 @@ static void learn(struct adhesion *a, int answered, const struct drive_input *dr
     }
 }
 
-/* A wheel that is further from the speed of the train than any train changes it in the time. */
+/* A wheel whose speed differs from the train's by more than any train can explain is lost. */
 static void accuse_sliding(struct adhesion *a)
 {
     for (int k = 0; k < a->n; k++) {

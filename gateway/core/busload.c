@@ -1,6 +1,6 @@
-/* Share of the bus in use, worst-case stuffing, over the last full second.
+/* Share of the bus in use over the last full second, with worst-case bit stuffing.
  *
- * Nothing here can fail: a length of 8 bits is below DATA_LENGTHS, and a window that is divided by
+ * Nothing here can fail: a length of 8 bits is below DATA_LENGTHS, and a window that is a divisor
  * is at least a second long. */
 #include "gateway/core/busload.h"
 
@@ -9,9 +9,9 @@
 #include "gateway/core/receive.h"
 
 #define SECOND_NS    1000000000
-#define MOST_PERCENT 126.0 /* one below the signal's code for not available */
+#define MOST_PERCENT 126.0 /* one below the signal's not-available code */
 
-/* Time from the start of the window, ns. It wraps where a record holds nonsense. */
+/* Time from the start of the window, ns. It wraps if a record holds nonsense. */
 static int64_t window_ns(const struct bus_load *load, int64_t now_ns)
 {
     return (int64_t)((uint64_t)now_ns - (uint64_t)load->since_ns);

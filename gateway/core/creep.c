@@ -1,20 +1,20 @@
-/* Creep of each wheel against the reference speed of its train, and what its rail carries.
+/* Creep of each wheel relative to the reference speed of its train, and utilised adhesion.
  *
- * - Creep: speed of the wheel over the reference speed (train_speed.c), minus 1. Positive: the wheel is
- *   faster than its train, whichever way that goes; below -1: it turns backwards. Diameters are those
- *   that are learnt.
- * - Utilisation: load over rated torque, without its sign. No configuration has the normal force, so
- *   the force over it, the utilised adhesion, is this times the coefficient at which rated torque is
- *   transmitted.
+ * - Creep: speed of the wheel over the reference speed (train_speed.c), minus 1. Positive: the
+ *   wheel is faster than its train, in either direction; below -1: it turns backwards. Wheel
+ *   diameters are the learnt ones.
+ * - Utilisation: load over rated torque, without its sign. The configuration has no normal force;
+ *   the utilised adhesion, force over normal force, is this times the coefficient at which rated
+ *   torque is transmitted.
  *
- * The reference itself creeps by OWN_CREEP. Wheels that adhere differ by what they are seen to. While
- * none adheres the reference is no wheel's any more, and off by as much as it has changed since and as
- * a train can change its speed in the time. The load brings its own standard deviation.
+ * The reference itself creeps by OWN_CREEP. The spread of wheels that adhere is that observed.
+ * While no wheel adheres, the reference follows no wheel; its error is its change since then plus
+ * what a train can change its speed by in that time. The load has its own standard deviation.
  *
- * Not in paper `adhesion`. Nothing here can fail: divisors are ratings, which are above 0, and a speed
- * of at least LEAST_SPEED; a number that is not known is NaN, comparisons with NaN are false, and each is
- * written so that false is the safe answer. `next_of` is above `k`, so that its loops end; what a root
- * is taken of is a sum of squares, or NaN. */
+ * Not in paper `adhesion`. Nothing here can fail: divisors are ratings, which are above 0, and a
+ * speed of at least LEAST_SPEED; a number that is not known is NaN, comparisons with NaN are false,
+ * and each is written so that false is the safe answer. `next_of` is above `k`, so that its loops
+ * end; roots are taken of a sum of squares, or of NaN. */
 #include "gateway/core/creep.h"
 
 #include <math.h>
@@ -23,15 +23,15 @@
 #include "gateway/core/rotors.h"
 
 #define OWN_CREEP               0.01
-#define SPEED_SIGMA             0.1   /* rad/s, of the speed of a rotor */
-#define MOST_CREEP_SIGMA        0.254 /* of its signal, as the next two */
+#define SPEED_SIGMA             0.1   /* rad/s, standard deviation of the speed of a rotor */
+#define MOST_CREEP_SIGMA        0.254 /* largest value of its signal, as the next two */
 #define LEAST_UTILISATION_SIGMA 0.005
 #define MOST_UTILISATION_SIGMA  1.27
 
-/* What rotors of one motor are compared with. */
+/* Reference that the rotors of one motor are compared with. */
 struct reference {
     double speed; /* rad/s; NaN: not known, or too slow */
-    double sigma; /* as a share of it */
+    double sigma; /* standard deviation, as a share of the speed */
 };
 
 static int next_of(const struct adhesion *a, int k)
@@ -40,7 +40,7 @@ static int next_of(const struct adhesion *a, int k)
     return next > k ? next : a->n;
 }
 
-/* 1: forwards, -1: backwards. */
+/* Direction of rotation; 1: forwards, -1: backwards. */
 static int8_t way_of(const struct rotor_inputs *in)
 {
     const double speed = isnan(in->measured_rad_s) ? in->speed_rad_s : in->measured_rad_s;
@@ -55,7 +55,7 @@ static double creep_of(const struct adhesion *a, int k, double train)
     return (back ? -fabs(r->speed) : fabs(r->speed)) / train - 1.0;
 }
 
-/* Of the motor of rotor `first`. */
+/* Reference of the rotors with the motor of rotor `first`. */
 static struct reference refer(const struct adhesion *a, const struct drive_status *status,
                               int first)
 {
@@ -82,7 +82,7 @@ static struct reference refer(const struct adhesion *a, const struct drive_statu
     return (struct reference){speed, sqrt(square(OWN_CREEP) + spread + square(drift))};
 }
 
-/* A number with its standard deviation, both or none. */
+/* A number with its standard deviation; NaN for both unless both are known. */
 static void fill(double number, double sigma, double most, double *out, double *out_sigma)
 {
     const int known = isfinite(number) && sigma <= most;

@@ -1,17 +1,17 @@
-/* Currents that are well protected and wrong, by three witnesses, none of which needs the load.
+/* Detects currents that are well protected and wrong, by three checks that do not use the load.
  *
- * - Repeats: equal current vectors while the rotor turns; one is a late sample, more are held. On
- *   CAN FD also eight samples that are those of the frame before.
- * - Torque: what the currents make at the angle of the rotor, against the torque that the drive
- *   sends; where the rotor turns too fast for that, what they could make at any angle.
- * - Angle of the current against ElectricalAngle, where it is sent. Their constant difference is
- *   learnt, so no convention is assumed; a step is a current that is late, or another's.
+ * - Repeats: equal current vectors while the rotor turns; one repeat is a late sample, more are
+ *   held currents. On CAN FD also eight samples equal to those of the frame before.
+ * - Torque: the torque of the currents at the angle of the rotor, compared with the torque that the
+ *   drive sends; if the rotor turns too fast for that, the most that they could make at any angle.
+ * - Angle of the current against ElectricalAngle, where that is sent. Their constant difference is
+ *   learnt, so no convention is assumed; a step means a late current, or another drive's.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
- * condition is written so that false, which every comparison with NaN is, is the safe answer.
+ * condition is written so that false, the result of every comparison with NaN, is the safe answer.
  * Divisors are the cycle of Motion, at least 1 ns, a count from 1 on, and the length of a current
- * that is above 0. Stamps are between 0 and now; a place in the ring is a count modulo its size; the
- * sample before another one lies in a lower row. */
+ * that is above 0. Stamps are between 0 and now; an index in the ring is a count modulo its size;
+ * the sample before another one is in a lower row. */
 #include "gateway/core/current_plausibility.h"
 
 #include "estimators/numbers.h"
@@ -20,11 +20,11 @@
 
 #define HALF_TURN 3.14159265358979323846     /* rad */
 static const int64_t LATE_NS = 1000 * MS_NS; /* as HELD_NS, after one late sample */
-static const int64_t REPEATS = 2;            /* in a row: more than one late sample */
+static const int64_t REPEATS = 2;            /* consecutive repeats: more than one late sample */
 #define LEAST_CURRENT 0.15                   /* per unit of rated; with less current */
-#define LEAST_TORQUE  0.1 /* and torque, neither torque nor angle says anything */
+#define LEAST_TORQUE  0.1 /* and less torque, torque and angle are not compared */
 /* Largest difference of two torques, per unit of rated torque and of the sent one: magnets may be a
- * fifth off the data sheet. From the doubt on the currents are no evidence of a loss. */
+ * fifth off the data sheet. Above the deviation, currents are no evidence of a loss. */
 #define TORQUE_OFF                0.15
 #define TORQUE_OFF_RELATIVE       0.3
 #define TORQUE_DEVIATION          0.06
@@ -36,15 +36,15 @@ static const struct misfit_rule OF_CURRENT = {3, UNRELIABLE_NS};
 #define ANGLE_OFF         0.06
 #define ANGLE_OFF_PERIODS 0.3
 #define LEAST_PERIOD_S    0.5e-3
-#define MOST_TURN 0.63 /* rad between two samples, beyond which nothing rests on the currents */
+#define MOST_TURN 0.63 /* rad between two samples; above it the currents are not used any further */
 static const int64_t LEARN = 20; /* readings before the constant part of the angle is known */
-#define KEPT 0.98                /* of `base` with each reading after that: half a second */
-/* Length of the mean of unit vectors below which angle and current have nothing to do with one
- * another: another frame, another direction. */
+#define KEPT 0.98                /* share of `base` that each later reading keeps: half a second */
+/* Length of the mean of unit vectors below which angle and current are not related: another
+ * reference frame, or another direction. */
 #define COHERENT 0.95
-/* An angle that has been off for so long is the new one of the drive. */
+/* An angle that has been off for so long is the drive's new one. */
 static const int64_t LEARN_ANEW_NS = 60000 * MS_NS;
-/* After so long without a reading the deviation of the angle is that of the next one. */
+/* After so long without a reading, the deviation of the angle is that of the next reading. */
 static const int64_t ANGLE_GAP_NS = 100 * MS_NS;
 
 /* ---- Repeated currents ---- */
@@ -54,13 +54,13 @@ static int equals(const double *one, const double *other)
     return one[0] == other[0] && one[1] == other[1];
 }
 
-/* How far a current of this length moves while the rotor turns by `turned`, rad. */
+/* Distance that a current of this length moves while the rotor turns by `turned`, rad. */
 static double chord(double length, double turned)
 {
     return 2.0 * length * fabs(sine(0.5 * turned));
 }
 
-/* One more sample of current, `passed` s after the one before; w_e: electrical speed, rad/s. */
+/* Check one more sample of current, `passed` s after the last; w_e: electrical speed, rad/s. */
 static void add_current(struct plausibility *p, const double *current, double passed, double w_e,
                         int64_t now_ns)
 {
@@ -90,7 +90,7 @@ static void add_current(struct plausibility *p, const double *current, double pa
     p->samples++;
 }
 
-/* By Motion, else by the flux chords, rad/s; 0 where neither is known. */
+/* Electrical speed by Motion, else by the flux chords, rad/s; 0 if neither is known. */
 static double electrical_speed(const struct motion_monitor *m, int64_t k)
 {
     const double measured = m->inputs[k].speed_rad_s;
@@ -116,32 +116,32 @@ void check_samples(struct motion_monitor *m, int64_t now_ns)
 
 /* ---- Torque and angle of the current ---- */
 
-/* A reading of Motion beside the current of the same instant. */
+/* A reading of Motion together with the current at the same instant. */
 struct reading {
     int64_t k;               /* drive */
-    int64_t t_ns;            /* its stamp */
+    int64_t t_ns;            /* stamp of the reading */
     double torque;           /* Nm, as sent */
     double angle;            /* electrical angle, rad; NaN: not sent */
     double w_e;              /* electrical speed, rad/s */
     double torque_per_a;     /* Nm per A along q */
     double _Complex current; /* of the nearest sample, A */
-    double later_s;          /* by which that sample is later */
+    double later_s;          /* time by which that sample is later, s */
 };
 
-/* When the newest sample of drive k was taken: its stamp, but for what it was delayed by. */
+/* Time at which the newest sample of drive k was taken: its stamp less its delay. */
 static int64_t newest_ns(const struct motion_monitor *m, int64_t k)
 {
     const struct drive_input *in = &m->receiver->drives[k];
     return in->sample_ns - in->clock.late_ns;
 }
 
-/* Row of the last sample of drive k in this tick, from which `sample_before` goes on; -1: none. */
+/* Row of the last sample of drive k in this tick, from which `sample_before` leads on; -1: none. */
 static int64_t newest_sample(const struct motion_monitor *m, int64_t k)
 {
     return m->receiver->drives[k].newest_sample;
 }
 
-/* Fill in the sample of this tick that is nearest to the reading. Returns 0 without any. */
+/* Fill in the sample of this tick that is nearest to the reading. Returns 0 if there is none. */
 static int find_current(const struct motion_monitor *m, struct reading *reading)
 {
     double later = (double)(newest_ns(m, reading->k) - reading->t_ns) * 1e-9;
@@ -157,7 +157,7 @@ static int find_current(const struct motion_monitor *m, struct reading *reading)
     return fabs(reading->later_s) <= 1.5 * m->period_s;
 }
 
-/* Least difference of the torques that the currents of this tick make from the sent one, which may
+/* Least difference between the torques of this tick's currents and the sent torque, which may
  * be as old as any of them. theta: angle of the rotor at the newest sample, rad. */
 static double torque_difference(const struct motion_monitor *m, const struct reading *reading,
                                 double theta)
@@ -174,9 +174,9 @@ static double torque_difference(const struct motion_monitor *m, const struct rea
     return least;
 }
 
-/* 1 if no current of this tick can make the torque that the drive sends, at whatever angle. All that
- * is known of currents that are sampled too seldom is their length: a drive that has lost its grip and
- * sends its command as its torque shows here. */
+/* 1 if no current of this tick can make the torque that the drive sends, at any angle. Of currents
+ * sampled too rarely only the length is known: it shows a drive that has lost its grip and sends
+ * its command as its torque. */
 static int is_torque_beyond_current(const struct motion_monitor *m, const struct reading *reading)
 {
     double most = 0.0;
@@ -189,8 +189,8 @@ static int is_torque_beyond_current(const struct motion_monitor *m, const struct
     return beyond > TORQUE_OFF * rated + TORQUE_OFF_RELATIVE * sent;
 }
 
-/* 1 if the currents make another torque than the drive sends, by more than motor data explain; notes
- * a lesser doubt. */
+/* 1 if the currents make another torque than the drive sends, by more than motor data explain;
+ * marks the currents as unreliable on a smaller difference. */
 static int is_torque_off(struct motion_monitor *m, const struct reading *reading, double theta,
                          int64_t now_ns)
 {
@@ -207,8 +207,8 @@ static void forget_angle(struct plausibility *p)
     p->base = 0.0;
 }
 
-/* Angle that a reading may be off because it waited for the bus, rad: it is stamped when it comes,
- * and so is off the grid of its cycle; and it may have come as late as samples do as a rule.
+/* Angle by which a reading may be off because it waited for the bus, rad: its stamp is that of its
+ * reception, off the grid of its cycle; and it may be delayed as samples usually are.
  * passed_ns: since the reading before. */
 static double turned_meanwhile(const struct motion_monitor *m, const struct reading *reading,
                                int64_t passed_ns)
@@ -219,7 +219,7 @@ static double turned_meanwhile(const struct motion_monitor *m, const struct read
     return fabs(reading->w_e) * (fabs((double)off_ns) + (double)usual_ns) * 1e-9;
 }
 
-/* Follow the deviation of the angle of the current; 1 if it is too large. unit: see is_angle_off. */
+/* Update the deviation of the current's angle; 1 if it is too large. unit: see is_angle_off. */
 static int deviates(const struct motion_monitor *m, struct plausibility *p,
                     const struct reading *reading, double _Complex unit)
 {
@@ -238,7 +238,7 @@ static int deviates(const struct motion_monitor *m, struct plausibility *p,
 }
 
 /* 1 if the current has left its angle. unit: unit vector of the current in the frame of the measured
- * angle, in the direction of the torque; may_learn: nothing speaks against it. */
+ * angle, in the direction of the torque; may_learn: 1 if no check contradicts it. */
 static int is_angle_off(const struct motion_monitor *m, struct plausibility *p,
                         const struct reading *reading, double _Complex unit, int may_learn)
 {
@@ -264,9 +264,9 @@ static int is_angle_off(const struct motion_monitor *m, struct plausibility *p,
     return 0;
 }
 
-/* The measured angle beside the current; 1 if the torque at it is off. torque_off: at the angle of
- * the filter, if that tracks. What is implausible is not learnt; a small current may have turned over
- * since the torque was measured. */
+/* Compare the measured angle with the current; 1 if the torque at it is off. torque_off: result at
+ * the angle of the filter, if it tracks. Implausible readings are not learnt; a small current may
+ * have turned over since the torque was measured. */
 static int check_angle(struct motion_monitor *m, const struct reading *reading, int tracking,
                        int torque_off, int64_t now_ns)
 {
@@ -279,7 +279,7 @@ static int check_angle(struct motion_monitor *m, const struct reading *reading, 
         off = is_torque_off(m, reading, theta, now_ns) || off;
     }
     if (length >= LEAST_CURRENT * p->rated_a && length < IMPLAUSIBLE) {
-        /* Along q in the direction of the torque is 1. */
+        /* The unit vector along q, in the direction of the torque, is 1. */
         const double theta = reading->angle + reading->w_e * reading->later_s;
         const double _Complex turned = reading->current * conj(unit_vector(theta));
         const double sign = reading->torque >= 0.0 ? 1.0 : -1.0;
@@ -291,7 +291,7 @@ static int check_angle(struct motion_monitor *m, const struct reading *reading, 
     return off;
 }
 
-/* Currents against torque and angle as measured at the same instant. */
+/* Compare currents with torque and angle as measured at the same instant. */
 void check_current(struct motion_monitor *m, int64_t r, int64_t now_ns)
 {
     const struct receiver *from = m->receiver;

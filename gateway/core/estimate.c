@@ -1,13 +1,13 @@
-/* Estimates by the filters, one tick: samples through everything that learns from them, then what is
- * known of each drive, and which filters start or are dropped.
+/* Estimates by the filters, one tick: every station that learns from the samples, then the estimate
+ * of each drive, and the start and the end of filters.
  *
- *  - A filter starts where the flux chords know speed and angle from the very last samples.
- *  - It is dropped where samples are missing for longer than it can predict, where it would become
- *    not finite, where the chords have contradicted it for DISAGREE_TICKS, and where they have
- *    started anew, for they are its only witness. Then the chords find the rotor again.
+ *  - A filter starts if the flux chords know speed and angle from the very last samples.
+ *  - It is dropped if samples are missing for longer than it can predict, if it would become
+ *    not finite, if the chords have contradicted it for DISAGREE_TICKS, and if the chords have
+ *    started anew, because only they can check it. Then the chords acquire the rotor again.
  *
- * Nothing here can fail: pole pairs and fluxes are configured, above 0; a speed that is divided by
- * is not 0; what a root is taken of is the variance of a filter that is finite, which is not negative
+ * Nothing here can fail: pole pairs and fluxes are configured, above 0; a speed that is a divisor
+ * is not 0; roots are taken of the variance of a filter that is finite, which is not negative
  * (filter.h). Comparisons with NaN are false, and each is written so that false is the safe answer.
  */
 #include "gateway/core/estimate.h"
@@ -25,27 +25,27 @@
 
 #define W_E 2 /* of the states of a filter */
 #define T_L 4
-/* Sub-steps (8 ms) without samples that a filter predicts: what the voltage did meanwhile may turn
- * the rotor by some tenths of a radian. One missing sample it always predicts. */
+/* Sub-steps (8 ms) without samples that a filter predicts: meanwhile the voltage may turn
+ * the rotor by some tenths of a radian. One missing sample is always predicted. */
 #define LONGEST_GAP    64
-#define DISAGREE_TICKS 3 /* in a row that the chords must contradict a filter: it has diverged */
-#define DIVERGED_NS    100000000 /* a divergence is reported for at least so long */
-/* A load is no evidence while its standard deviation is this many times its best, which rises by
- * SIGMA_RISE in a tick: sensors may become noisier for good. */
+#define DISAGREE_TICKS 3 /* consecutive ticks with contradicting chords: the filter has diverged */
+#define DIVERGED_NS    100000000 /* least time for which a divergence is reported */
+/* A load is no evidence while its standard deviation is this multiple of its best value, which
+ * rises by SIGMA_RISE per tick: sensors may become noisier permanently. */
 #define SIGMA_LIMIT 2.0
 #define SIGMA_RISE  1.01
-#define MOVING      0.07 /* of the rated torque in a tick: more than the noise of a steady load */
-/* How far a load is off shows in how far it moves from tick to tick: the medians of an error and of
- * the change of two have this ratio. P allows for a wheel that slips, and is four times too wide. */
-#define CHANGE_OF_ERROR 0.954 /* median of |a - b|, of a and b normal with standard deviation 1 */
+#define MOVING      0.07 /* share of rated torque per tick: more than the noise of a steady load */
+/* The error of a load is found from its change per tick: the medians of an error and of the
+ * difference of two errors have this ratio. P allows for a slipping wheel: 4 times too wide. */
+#define CHANGE_OF_ERROR 0.954 /* median of |a - b|, a and b standard normal */
 #define SPREAD_STEP     0.03
-#define SPREAD_FIRST    0.5 /* over the number of ticks: faster at the start, for */
-#define SPREAD_SLOW     100 /* ticks at most */
+#define SPREAD_FIRST    0.5 /* divided by the number of ticks: faster at the start, for */
+#define SPREAD_SLOW     100 /* at most so many ticks */
 #define SPREAD_LEAST    0.01
 #define SPREAD_MOST     4.0
-#define LOAD_SURE       0.005 /* of the load: an error that lasts moves nothing */
-/* What the chords say of the flux is used beyond FLUX_SURE of it, and beyond what an R_s that is off
- * by RESISTANCE_SURE would make of it. */
+#define LOAD_SURE       0.005 /* share of the load that a lasting error may have unseen */
+/* A flux deviation of the chords is used beyond FLUX_SURE of the flux, and beyond what an error of
+ * RESISTANCE_SURE in R_s would make of it. */
 #define FLUX_TAU_S      0.5
 #define FLUX_SURE       0.03
 #define RESISTANCE_SURE 0.25
@@ -64,7 +64,7 @@ void estimator_reset(struct estimator *e)
 
 /* ---- Filters of a tick ---- */
 
-/* No filter, and nothing of what it has learnt. */
+/* Drop a filter and everything that it has learnt. */
 static void drop(struct filter *filter)
 {
     filter_reset(filter);
@@ -80,8 +80,8 @@ static void restart(struct estimator *e, int k, struct drive_estimate *estimate)
     estimate->flux_ratio = NAN;
 }
 
-/* The samples of the tick as the filters take them. Filters that cannot predict what is missing
- * start anew. Returns how many there are. */
+/* Convert the samples of the tick to those of the filters. Filters that cannot predict the missing
+ * samples start anew. Returns the number of samples. */
 static int load_samples(struct estimator *e, const struct receiver *r)
 {
     const int m = (int)r->tick.samples; /* 8 for each frame of a tick at most */
@@ -100,7 +100,7 @@ static int load_samples(struct estimator *e, const struct receiver *r)
     return m;
 }
 
-/* Samples through everything that learns from them. */
+/* Run everything that learns from the samples. */
 static void run_samples(struct estimator *e, int m)
 {
     const double dt = e->settings.dt;
@@ -110,7 +110,7 @@ static void run_samples(struct estimator *e, int m)
     adapt_filters(e->samples, m, e->filters, e->chords, e->motors, e->rated_a, dt);
 }
 
-/* Filters that would have become not finite. */
+/* Drop filters that would have become not finite. */
 static void drop_not_finite(struct estimator *e)
 {
     for (int k = 0; k < e->n; k++) {
@@ -125,7 +125,7 @@ static void drop_not_finite(struct estimator *e)
 
 /* ---- What is remembered beside the filters ---- */
 
-/* Learn from the last change of a settled load how far loads are off: the median, by small steps. */
+/* Learn the error of a settled load from its last change: the median, in small steps. */
 static void learn_spread(struct filter_track *t, const struct filter *filter)
 {
     if (!filter->active || filter->steps < FILTER_SETTLE_STEPS)
@@ -137,7 +137,7 @@ static void learn_spread(struct filter_track *t, const struct filter *filter)
     t->spread_ticks += t->spread_ticks < SPREAD_SLOW;
 }
 
-/* How far the load of every drive with samples in this tick has moved. */
+/* Note how much the load of every drive with samples in this tick has changed. */
 static void note_changes(struct estimator *e, int m)
 {
     for (int k = 0; k < e->n; k++)
@@ -154,9 +154,9 @@ static void note_changes(struct estimator *e, int m)
     }
 }
 
-/* Flux of the magnets over that of the data sheet, by the length of the chords. Errors of R_s lengthen
- * a chord, too: what they can explain is not taken for flux. Chords reach further than filters, and
- * what they have found survives a new start. */
+/* Learn the flux of the magnets over that of the data sheet, from the length of the chords. Errors
+ * of R_s lengthen a chord, too: what they can explain is not attributed to the flux. Chords work at
+ * speeds at which filters do not, and what they have learnt survives a new start. */
 static void learn_flux(struct estimator *e, int k, double *flux_ratio)
 {
     const struct acquisition *a = &e->chords[k];
@@ -191,13 +191,13 @@ static void supervise(struct estimator *e, int k, int consistency, int64_t now_n
     } else if (++t->disagree_ticks >= DISAGREE_TICKS) {
         drop(filter);
         t->disagree_ticks = 0;
-        /* A start that does not settle is tried again; a lost rotor is a divergence. */
+        /* A start that does not settle is repeated; a rotor lost after that is a divergence. */
         if (steps >= FILTER_SETTLE_STEPS)
             t->diverged_ns = now_ns;
     }
 }
 
-/* A filter from the chords, which know speed and angle from the very last samples. */
+/* Start a filter from the chords, which know speed and angle from the very last samples. */
 static void start(struct estimator *e, int k)
 {
     const struct acquisition *a = &e->chords[k];
@@ -213,7 +213,7 @@ static void start(struct estimator *e, int k)
         filter->v_q_bias = first_q_bias(a, &e->motors[k], e->rated_a[k]);
 }
 
-/* Numbers of an active filter. Returns the standard deviation of its load by P, at data sheet flux. */
+/* Fill in the numbers of an active filter. Returns sigma of its load by P, at data sheet flux. */
 static double fill_numbers(const struct estimator *e, int k, struct drive_estimate *out)
 {
     const struct filter *filter = &e->filters[k];
@@ -229,7 +229,7 @@ static double fill_numbers(const struct estimator *e, int k, struct drive_estima
     return sigma;
 }
 
-/* enum filter_health of a drive; fills its numbers where a filter has any. */
+/* enum filter_health of a drive; fills in its numbers if a filter is active. */
 static uint8_t describe(struct estimator *e, int k, const struct input_status *input,
                         int consistency, struct drive_estimate *out)
 {
@@ -243,7 +243,7 @@ static uint8_t describe(struct estimator *e, int k, const struct input_status *i
     default:
         break;
     }
-    /* A load that moves is not the load of a tick ago. */
+    /* While the load changes, that of the tick before is not used. */
     const int moving = t->silent && t->load_change_nm > MOVING * e->rated_nm[k];
     const int fresh = input->sample_fresh && !moving;
     if (!e->filters[k].active)
@@ -257,14 +257,14 @@ static uint8_t describe(struct estimator *e, int k, const struct input_status *i
     return sigma > SIGMA_LIMIT * t->best_sigma_nm ? HEALTH_CONVERGING : HEALTH_TRACKING;
 }
 
-/* What is known of one drive; its filter starts here. */
+/* Estimate of one drive; its filter starts here. */
 static void estimate(struct estimator *e, int k, const struct input_status *input,
                      struct drive_estimate *out, int64_t now_ns)
 {
     const struct acquisition *a = &e->chords[k];
     struct filter *filter = &e->filters[k];
     if (filter->active && a->pairs < ACQUISITION_PAIRS)
-        filter_reset(filter); /* the chords have started anew, and are its only witness */
+        filter_reset(filter); /* the chords have started anew, and only they can check it */
     int consistency = acquisition_check(a, filter);
     supervise(e, k, consistency, now_ns);
     out->speed_rad_s = out->load_nm = out->load_sigma_nm = out->nis = NAN;

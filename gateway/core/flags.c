@@ -1,9 +1,9 @@
-/* Flags of a tick, in this order: evidence from what the stations before have found, debounce and
+/* Flags of a tick, in this order: evidence from the results of the preceding stations, debounce and
  * latch, and what is published.
  *
- * No function here can fail, whatever a record holds: a number that selects from a table is first
+ * No function here can fail, whatever a record holds: a number that indexes a table is first
  * compared with the size of the table, and nothing divides. Times are compared by differences of
- * stamps; they wrap instead of overflowing where a record holds nonsense. */
+ * stamps, which wrap instead of overflowing if a record holds nonsense. */
 #include "gateway/core/flags.h"
 
 #include <math.h>
@@ -39,7 +39,7 @@ static uint8_t worse_flag(uint8_t one, uint8_t other)
     return one == FLAG_UNKNOWN || other == FLAG_UNKNOWN ? FLAG_UNKNOWN : FLAG_GOOD;
 }
 
-/* Of two ages the older one; NO_TIME if one is. */
+/* The older of two ages; NO_TIME if one of them is. */
 static int64_t older(int64_t one, int64_t other)
 {
     if (one == NO_TIME || other == NO_TIME)
@@ -97,7 +97,7 @@ static void adhesion_evidence(const struct flag_rules *rules, const struct train
 void collect_evidence(const struct flag_rules *rules, const struct train_inputs *train,
                       const struct flag_inputs *inputs, int n, struct drive_evidence *evidence)
 {
-    /* Temperatures change slowly: of all reasons only an intruder counts against them. */
+    /* Temperatures change slowly: of all reasons only an intruder makes their flags unknown. */
     const int intruder = train->integrity_reason == REASON_INTRUDER;
     for (int k = 0; k < n; k++) {
         const struct flag_inputs *in = &inputs[k];
@@ -117,8 +117,8 @@ void collect_evidence(const struct flag_rules *rules, const struct train_inputs 
 
 /* ---- Debounce and latch ---- */
 
-/* Which state a flag takes, by its state and the evidence, and how long that must have held.
- * Unknown never clears bad. Good needs good evidence that has held; one unknown takes it back. */
+/* Next state of a flag, by its state and the evidence, and how long that evidence must have held.
+ * Unknown never clears bad. Good needs good evidence that has held; a single unknown revokes it. */
 enum hold { AT_ONCE, GOOD_NS, RAISE_NS, CLEAR_NS };
 static const struct transition {
     uint8_t next; /* enum flag_state */
@@ -155,7 +155,7 @@ int debounce(struct flag *flag, int evidence, const struct flag_timing *timing, 
     if (flag->state > FLAG_BAD)
         flag->state = FLAG_UNKNOWN;
     if (evidence == FLAG_UNCHANGED) {
-        /* The tick does not count towards a change. */
+        /* This tick does not count towards a change. */
         if (flag->evidence != flag->state)
             flag->since_ns = (int64_t)((uint64_t)flag->since_ns + (uint64_t)tick_ns);
         return 0;
@@ -166,7 +166,7 @@ int debounce(struct flag *flag, int evidence, const struct flag_timing *timing, 
         flag->evidence = seen;
         flag->since_ns = now_ns;
     }
-    const struct transition *to = &TRANSITIONS[flag->state][seen]; /* both in range: just looked */
+    const struct transition *to = &TRANSITIONS[flag->state][seen]; /* both in range: see above */
     if (to->next == flag->state || elapsed(flag->since_ns, now_ns) < hold_ns(to->hold, timing))
         return 0;
     flag->state = to->next;
@@ -190,7 +190,7 @@ int debounce_flags(const struct flag_rules *rules, const struct drive_evidence *
 
 /* ---- What is published ---- */
 
-/* Numbers of the filter: only while it tracks or predicts. */
+/* Publish the numbers of the filter, but only while it tracks or predicts. */
 static void publish_motion(const struct flag_inputs *in, struct drive_status *out)
 {
     const int followed = in->health == HEALTH_TRACKING || in->health == HEALTH_PREDICTING;
@@ -211,7 +211,7 @@ static void publish_thermal(const struct flag_inputs *in, struct drive_status *o
     out->jumps = in->jumps;
 }
 
-/* A fault is named with its flag: while the thermal flag is still good, none is. */
+/* A fault is published with its flag: none is while the thermal flag is still good. */
 static void publish_faults(const struct flag_inputs *in, const struct drive_evidence *evidence,
                            struct drive_status *out)
 {
@@ -258,12 +258,12 @@ static uint8_t gateway_state(const struct train_inputs *train, const struct driv
     return idle ? GATEWAY_STARTING : GATEWAY_DEGRADED;
 }
 
-/* The worst, or the oldest, of all drives. */
+/* The worst flag and reason, or the largest age, of all drives. */
 static void summarise(const struct drive_status *status, int n, struct train_status *whole)
 {
     whole->adhesion_reason = whole->faults_reason = REASON_NONE;
     whole->sensor = whole->comm = whole->estimator = FLAG_GOOD;
-    whole->age_ns = whole->temperature_age_ns = INT64_MIN + 1; /* younger than any */
+    whole->age_ns = whole->temperature_age_ns = INT64_MIN + 1; /* less than any age */
     for (int k = 0; k < n; k++) {
         const struct drive_status *one = &status[k];
         whole->adhesion_reason = worse_reason(whole->adhesion_reason, one->adhesion_reason);

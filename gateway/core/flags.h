@@ -4,13 +4,13 @@
 
 #include "gateway/core/records.h"
 
-/* Priority of a reason: 0 is the worst, 11 is REASON_NONE. A number that is none counts as that. */
+/* Priority of a reason: 0 is the worst, 11 is REASON_NONE. An invalid number counts as that one. */
 int reason_rank(int reason);
 
-/* Of two reasons the one with the higher priority; the first of two with the same. */
+/* The reason with the higher priority; the first of two with the same priority. */
 uint8_t worse_reason(uint8_t one, uint8_t other);
 
-/* Evidence of a probability of lost adhesion: an enum flag_state. NaN is unknown. */
+/* Evidence of a probability of lost adhesion: an enum flag_state. NaN gives FLAG_UNKNOWN. */
 int loss_evidence(const struct flag_rules *rules, double probability);
 
 /* Feed one tick of evidence (enum flag_state) to one flag: 1 if its state has changed. */
@@ -25,7 +25,7 @@ void collect_evidence(const struct flag_rules *rules, const struct train_inputs 
 int debounce_flags(const struct flag_rules *rules, const struct drive_evidence *evidence, int n,
                    int64_t now_ns, struct drive_status *status);
 
-/* Fill everything else in `status` and `whole` but `whole->detector`, after `debounce_flags`. */
+/* Fill everything else in `status` and `whole` except `whole->detector`, after `debounce_flags`. */
 void publish(const struct train_inputs *train, const struct flag_inputs *inputs,
              const struct drive_evidence *evidence, int n, int64_t now_ns,
              struct drive_status *status, struct train_status *whole);

@@ -1,4 +1,4 @@
-/* Which inputs of a drive are valid in a tick, and if not why.
+/* Validity of the inputs of a drive in a tick, and the reason if they are not valid.
  *
  * Nothing here can fail: nothing divides, the channels of a drive are those of the configuration,
  * and stamps lie between -1 and now, so that their differences fit. */
@@ -14,13 +14,13 @@ int is_channel_fresh(const struct channel *channel, int64_t now_ns)
     return known && now_ns - channel->good_ns <= channel->limit_ns;
 }
 
-/* The same of one that a drive may not have. */
+/* The same for a channel that a drive may not have. */
 static int is_fresh(const struct receiver *receiver, int32_t c, int64_t now_ns)
 {
     return c >= 0 && is_channel_fresh(&receiver->channels[c], now_ns);
 }
 
-/* Why the currents and voltages of a drive are not valid: the worst that applies. */
+/* Reason why the currents and voltages of a drive are not valid: the worst that applies. */
 static uint8_t electrical_reason(const struct receiver *receiver, const struct drive_channels *own,
                                  const struct input_status *status)
 {
@@ -33,8 +33,8 @@ static uint8_t electrical_reason(const struct receiver *receiver, const struct d
     return status->heartbeat_lost ? worse_reason(reason, REASON_STALE) : reason;
 }
 
-/* 1 if a message that was valid once is so no more. That its values are out of range, or not
- * available, is no fault of communication. */
+/* 1 if a message that was once valid no longer is. Values that are out of range, or not available,
+ * are no fault of communication. */
 static int has_failed(const struct channel *channel)
 {
     switch (channel->reason) {
@@ -47,9 +47,9 @@ static int has_failed(const struct channel *channel)
     }
 }
 
-/* 1 if a message has still to become valid before communication is good: one with currents or
- * voltages, or one that was received. Of a drive that sends no currents each message has to. (A slow
- * one that has not come yet may follow; the flag waits for as long as its cycle.) */
+/* 1 if a message must still become valid before communication is good: a message with currents or
+ * voltages, or one that was received. Of a drive that sends no currents, every message must. (A
+ * slow message may still come; the flag waits for the duration of its cycle.) */
 static int is_awaited(const struct receiver *receiver, const struct drive_channels *own, int32_t c)
 {
     const struct channel *channel = &receiver->channels[c];
@@ -58,7 +58,7 @@ static int is_awaited(const struct receiver *receiver, const struct drive_channe
     return !channel->was_valid && needed;
 }
 
-/* Evidence of the messages of a drive: bad once one of them has failed. */
+/* Evidence of the messages of a drive: bad if one of them has failed. */
 static uint8_t comm_evidence(const struct receiver *receiver, const struct drive_channels *own)
 {
     uint8_t evidence = FLAG_GOOD;
@@ -78,7 +78,7 @@ static void assess_drive(const struct receiver *receiver, const struct drive_cha
 {
     out->current_sum_fault = in->current_sum > own->max_current_sum_a;
     out->reason = electrical_reason(receiver, own, out);
-    /* Of the two frames of a sample the older one is stale first, by up to the time between them. */
+    /* Of the two frames of a sample the older is stale first, by up to the time between them. */
     const int known = in->sample_ns >= 0 && now_ns - in->sample_ns <= own->max_age_ns;
     out->sample_fresh = known && out->reason != REASON_STALE;
     out->command_valid = !isnan(in->command) && is_fresh(receiver, own->status, now_ns);

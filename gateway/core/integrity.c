@@ -1,15 +1,15 @@
-/* What speaks against all drives at once: missed ticks, lost frames, a second gateway.
+/* Causes that make the flags of all drives unknown: missed ticks, lost frames, an intruder.
  *
- * An intruder is latched until a restart: receivers cannot tell the two senders apart, so an operator
- * must look. How long flags are unknown is the configuration's choice (docs/threats.md).
+ * An intruder is latched until a restart: receivers cannot distinguish the two senders, so an
+ * operator must check. The configuration sets how long flags are unknown (docs/threats.md).
  *
- * Nothing here can fail: nothing divides, and differences of stamps wrap where a record holds
+ * Nothing here can fail: nothing divides, and differences of stamps wrap if a record holds
  * nonsense. */
 #include "gateway/core/integrity.h"
 
 enum { LATE_IN_A_ROW = 3 }; /* late ticks in a row after which no adhesion flag is valid */
 
-/* Time from `then` to the tick, ns; the longest there is if `then` never was. */
+/* Time from `then` to the tick, ns; INT64_MAX if `then` is NO_TIME. */
 static int64_t since(const struct integrity *integrity, int64_t then)
 {
     if (then == NO_TIME)
@@ -31,7 +31,7 @@ void check_integrity(struct integrity *integrity, int64_t own_frames, int64_t no
         integrity->intruder = 1;
         integrity->intruder_ns = now_ns;
     }
-    /* The tick that finds an intruder still says so. */
+    /* The tick that finds an intruder still sends its frames. */
     integrity->mute = integrity->silent;
     integrity->silent = integrity->stop_on_intruder && integrity->intruder;
 }

@@ -1,7 +1,7 @@
-/* What each drive carries beside what it is asked to carry, per unit of its rated torque.
+/* Load of each drive compared with its command, per unit of its rated torque.
  *
- * Commands make loads comparable: a drive that is asked for half as much as the others should carry
- * half as much. Not in paper `adhesion`, whose drives are commanded alike.
+ * Commands make loads comparable: a drive with half the command of the others should carry
+ * half the load. Not in paper `adhesion`, in which all drives have the same command.
  *
  * Nothing here can fail: divisors are rated torques and the period of a tick (configured, above 0),
  * a largest command above COASTING, and a ratio that is above 0. Comparisons with NaN are false,
@@ -13,14 +13,14 @@
 #include "estimators/numbers.h"
 #include "estimators/order_statistics.h"
 
-#define COASTING 0.05 /* share of rated torque below which commands say nothing about each other */
-#define RATIO_FLOOR   0.2 /* no load is divided by less */
-#define RATIO_UNKNOWN 0.1 /* a drive that is asked for less carries too little to be compared */
-/* Drives. With fewer a sudden loss is recognised by the rotor. With more, all of whose loads fall,
- * it may be a load step of the train, and the next commands decide. */
+#define COASTING 0.05 /* share of rated torque; smaller commands are not compared with each other */
+#define RATIO_FLOOR   0.2 /* least divisor of a load */
+#define RATIO_UNKNOWN 0.1 /* a drive with a smaller command carries too little to be compared */
+/* Drives. With fewer, a sudden loss is recognised by the speed of the rotor. With more, if the
+ * loads of all fall, this may be a load step of the train, and the next commands decide. */
 #define ENOUGH_TO_COMPARE 2
 
-/* A number that is not known counts as 0. */
+/* The number, or 0 if it is not known. */
 static double known_or_zero(double x)
 {
     return isnan(x) ? 0.0 : x;
@@ -32,7 +32,7 @@ static double relative_command(const struct adhesion *a, const struct drive_inpu
     return fabs(drives[k].command) / a->rotors[k].rated_nm;
 }
 
-/* Median load of the drives that do not follow their own flag; NaN of none. */
+/* Median load of the drives that do not follow their own flag; NaN if there are none. */
 static double median_load(const struct adhesion *a, int64_t now_ns)
 {
     struct ranking loads = {.numbers = a->workspace};
@@ -43,7 +43,7 @@ static double median_load(const struct adhesion *a, int64_t now_ns)
     return median_of_others(&loads, NAN, 0);
 }
 
-/* Which drives follow their own flag: down to 30 % of the torque and back. */
+/* Find drives that follow their own flag: down to 30 % of the torque and back. */
 static void find_derating(struct adhesion *a, const struct drive_status *status, int64_t now_ns)
 {
     for (int k = 0; k < a->n; k++) {
@@ -56,7 +56,7 @@ static void find_derating(struct adhesion *a, const struct drive_status *status,
     }
 }
 
-/* The largest command, per unit; whether all commands are steady, but for those that follow a flag. */
+/* The largest command, per unit; *steady: all are steady, except those that follow a flag. */
 static double largest_command(const struct adhesion *a, const struct drive_input *drives,
                               int *steady)
 {
@@ -70,11 +70,11 @@ static double largest_command(const struct adhesion *a, const struct drive_input
     return largest;
 }
 
-/* The command of every drive over the largest one; 1 where that says nothing.
+/* Ratio of every command to the largest one; 1 where the ratio has no meaning.
  *
  * `Status` frames of the drives are up to a cycle apart, so commands that change with the train
- * differ by their age alone. They are compared while all are steady; that of a drive which follows
- * its own flag is compared always. */
+ * differ only because of their age. They are compared while all are steady; the command of a drive
+ * that follows its own flag is always compared. */
 static void relate_commands(struct adhesion *a, const struct drive_input *drives, int64_t now_ns)
 {
     int steady;
@@ -91,15 +91,15 @@ static void relate_commands(struct adhesion *a, const struct drive_input *drives
         const double ratio = relative_command(a, drives, k) / largest;
         const double load = a->rotors[k].load;
         mine->asked_ratio = larger(RATIO_FLOOR, ratio);
-        /* A command that makes the load less like the others' is not what the drive obeys. */
+        /* The drive does not obey a command that makes its load less like those of the others. */
         const double off = ratio > 0.0 ? fabs(load / ratio - common) : HUGE_VAL;
         if (!(fabs(load - common) < off))
             mine->command_ratio = ratio;
     }
 }
 
-/* Which loads may be compared, and how large they are. A drive mounted the other way round turns and
- * pulls the other way; the sign of its speed brings it to the direction of the train. How many. */
+/* Find loads that may be compared, and their values. A drive mounted the other way round turns and
+ * pulls the other way; the sign of its speed gives the train's direction. Returns the number. */
 static int find_known(struct adhesion *a, const struct drive_estimate *estimates)
 {
     int count = 0;
@@ -117,9 +117,9 @@ static int find_known(struct adhesion *a, const struct drive_estimate *estimates
     return count;
 }
 
-/* Torque that accelerated a rotor, mean over a tick: the larger of two ticks. A quick speed control
- * takes the torque back within a tick; the speed that it could not hold shows for longer.
- * speed: NaN where it is not known, or not wanted. */
+/* Torque that accelerated a rotor, mean over a tick: the larger of the last two ticks. A quick
+ * speed control removes the torque within a tick; the speed that it could not hold is visible for
+ * longer. speed: NaN if it is not known or not needed. */
 static double spin_up(const struct adhesion *a, int k, double speed)
 {
     struct drive_load *mine = &a->loads[k];

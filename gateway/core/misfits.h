@@ -1,4 +1,4 @@
-/* What follows from input that does not fit. Not for cffi. */
+/* Consequences of input that does not fit. Not for cffi. */
 #ifndef TRACTION_MISFITS_H
 #define TRACTION_MISFITS_H
 
@@ -9,8 +9,8 @@
 /* How long an input stays implausible after the last sign of a fault. */
 static const int64_t HELD_NS = 200 * MS_NS;
 
-/* How many readings in a row must not fit before the input is implausible; and for how long after
- * one before that the currents accuse no drive: no loss is raised before the next reading. */
+/* Number of consecutive misfits before the input is implausible; and time after a single one in
+ * which the currents are no evidence of a loss: no loss is raised before the next reading. */
 struct misfit_rule {
     int64_t limit;
     int64_t unreliable_ns;
@@ -29,7 +29,7 @@ static inline void mark_unreliable(struct rotor *rotor, int64_t until_ns)
         rotor->unreliable_until_ns = until_ns;
 }
 
-/* Count a reading of drive k that does not fit (off), or does, in `misfits`: those in a row. */
+/* Count consecutive misfits of drive k in `misfits`; off: 1 if this reading does not fit. */
 static inline void count_misfit(struct motion_monitor *m, int64_t k, int64_t *misfits, int off,
                                 const struct misfit_rule *rule, int64_t now_ns)
 {

@@ -1,14 +1,14 @@
-/* Speed and torque as the drives measure them: load by an observer, and a witness of the estimates.
+/* Measured speed and torque of the drives: load by an observer, and a check of the estimates.
  *
- * Ten samples of current per electrical revolution are about the least that the filters need. Beyond
- * that the load comes from the observer, without a bump; without a fresh Motion it is unknown. Below
- * it the measured speed shows what currents alone cannot: swapped phases, an aliased speed, a wrong
- * sign, and a rotor that turns although the filter does not find it.
+ * The filters need about ten samples of current per electrical revolution. With fewer, the load
+ * comes from the observer, without a bump; without a fresh Motion it is then unknown. With enough
+ * samples, the measured speed shows what currents alone cannot: swapped phases, an aliased speed, a
+ * wrong sign, and a rotor that turns although the filter does not find it.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
  * comparison with NaN is false, and each condition is written so that false is the safe answer. The
- * one divisor is the cycle of Motion, at least 1 ns; stamps are between 0 and now, so that their
- * difference and the quotient fit. The root is of a variance. */
+ * only divisor is the cycle of Motion, at least 1 ns; stamps are between 0 and now, so that their
+ * difference and the quotient fit. The root is that of a variance. */
 #include "gateway/core/motion.h"
 
 #include <math.h>
@@ -22,18 +22,18 @@
 
 #define SECOND_NS  1000000000LL
 #define HYSTERESIS 0.05 /* share of `max_w_e` */
-#define FADED_NM   1e-3 /* an offset that is smaller is none */
+#define FADED_NM   1e-3 /* a smaller offset counts as none */
 /* Measured and estimated speed disagree beyond this share and this speed: the flux may be off by a
- * tenth, and Motion is up to 10 ms old in a slip. */
+ * tenth, and Motion is up to 10 ms old during a slip. */
 #define SPEED_TOLERANCE       0.15
 #define SPEED_TOLERANCE_RAD_S 5.0
-static const int64_t DISAGREE_TICKS = 5; /* in a row, before the input is implausible */
-static const int64_t MAX_MISSING = 5; /* cycles without a reading; then the observer starts anew */
-/* A filter finds a rotor that turns within this, or the currents and voltages are not what they
- * seem: an open phase, another motor. */
+static const int64_t DISAGREE_TICKS = 5; /* consecutive, before the input is implausible */
+static const int64_t MAX_MISSING = 5; /* cycles without a reading before the observer starts anew */
+/* A filter finds a rotor that turns within this time. If not, the currents and voltages are not
+ * what they seem: an open phase, another motor. */
 static const int64_t LOCK_NS = SECOND_NS;
 
-/* `x`, or `other` where it is not known. */
+/* `x`, or `other` if `x` is not known. */
 static double known_or(double x, double other)
 {
     return isnan(x) ? other : x;
@@ -48,7 +48,7 @@ static void follow_reading(const struct motion_monitor *m, int64_t r)
     struct motion *own = &m->motions[k];
     const double w = m->receiver->motion_speed[r];
     const double torque = m->receiver->motion_torque[r] * known_or(m->estimates[k].flux_ratio, 1.0);
-    /* The cycle is exact, stamps jitter. */
+    /* The cycle is exact; the stamps jitter. */
     const double passed = (double)(t_ns - own->reading_ns) / (double)m->motion_cycle_ns;
     const int64_t cycles = round_half_even(passed);
     own->reading_ns = t_ns;
@@ -69,9 +69,9 @@ void follow_readings(const struct motion_monitor *m)
         follow_reading(m, r);
 }
 
-/* ---- Input that cannot be right ---- */
+/* ---- Implausible input ---- */
 
-/* 1 once the filter has not found a rotor that turns for too long. */
+/* 1 if the filter has failed for too long to find a rotor that turns. */
 static int is_not_found(const struct motion_monitor *m, struct motion *own, double measured,
                         const struct drive_estimate *estimate)
 {
@@ -81,8 +81,8 @@ static int is_not_found(const struct motion_monitor *m, struct motion *own, doub
     return own->unlocked_ns > LOCK_NS;
 }
 
-/* 1 once measured and estimated speed have disagreed for too long. What was found stands until a
- * filter that tracks agrees again. */
+/* 1 if measured and estimated speed have disagreed for too long. The result stands until a filter
+ * that tracks agrees again. */
 static int disagrees(struct motion *own, double measured, const struct drive_estimate *estimate)
 {
     if (!isnan(measured) && estimate->health == HEALTH_TRACKING) {
@@ -100,7 +100,7 @@ static int contradicts(const struct motion_monitor *m, struct motion *own, doubl
     return is_not_found(m, own, measured, estimate) || disagrees(own, measured, estimate);
 }
 
-/* ---- Which source ---- */
+/* ---- Selection of the source ---- */
 
 static void set_unknown(struct drive_estimate *estimate, uint8_t health, uint8_t reason)
 {
@@ -112,8 +112,8 @@ static void set_unknown(struct drive_estimate *estimate, uint8_t health, uint8_t
     estimate->nis = NAN;
 }
 
-/* The observer in place of the filter. Without fresh currents nothing shows any more that Motion is
- * plausible: a prediction. */
+/* Use the observer in place of the filter. Without fresh currents nothing shows that Motion is
+ * still plausible: the estimate is a prediction. */
 static void estimate_by_observer(const struct motion *own, const struct input_status *in,
                                  struct drive_estimate *estimate)
 {
@@ -130,7 +130,7 @@ static void estimate_by_observer(const struct motion *own, const struct input_st
     }
 }
 
-/* No bump where the source changes: the difference between the two fades. */
+/* Avoid a bump when the source changes: the difference between the two fades. */
 static void fade(const struct motion_monitor *m, struct motion *own, int by_observer,
                  struct drive_estimate *estimate)
 {
@@ -144,10 +144,10 @@ static void fade(const struct motion_monitor *m, struct motion *own, int by_obse
     estimate->load_nm = own->load_nm;
 }
 
-/* The estimate of a drive that is to be used; one whose input is invalid stays what it is.
+/* Select the estimate to use for a drive; that of a drive with invalid input is not changed.
  *
- * Drives are compared, and filter and observer follow a load step at different speeds: where one
- * drive needs the observer, all use it that can. */
+ * Drives are compared, and filter and observer follow a load step at different speeds: if one
+ * drive needs the observer, all drives that can use it do. */
 static void select_source(const struct motion_monitor *m, int64_t k, int any_aliasing)
 {
     struct motion *own = &m->motions[k];
@@ -165,8 +165,8 @@ static void select_source(const struct motion_monitor *m, int64_t k, int any_ali
         own->load_nm = NAN;
 }
 
-/* Which drives turn too fast for their samples of current; 1 if one does that can be compared. What
- * the filter makes of currents that cannot be right is no speed, and changes no other drive's source. */
+/* Find drives that turn too fast for their samples of current; 1 if one of these can be compared.
+ * A filter's speed from implausible currents is ignored, and changes no other drive's source. */
 static int find_aliasing(const struct motion_monitor *m)
 {
     int any = 0;

@@ -1,8 +1,8 @@
-/* Halves of samples to samples, SI units, stationary frame.
+/* Halves of samples combined to samples, SI units, stationary frame.
  *
  * Currents and voltages with the same counter, received within half a turn of it, belong together.
- * The time between two samples is the counter difference times the period; stamps decide which turn
- * of the counter it was, and whether the sender has left some out (gateway/core/sample_clock.c).
+ * The time between two samples is the counter difference times the period; stamps determine the
+ * turn of the counter, and whether the sender has left samples out (gateway/core/sample_clock.c).
  *
  * No function here can fail: counters are masked or compared with their number of values, a period
  * is at least 1 ns (gateway/core/channel.py), and every quotient is bounded before it is converted. */
@@ -15,10 +15,10 @@ enum { BLOCK_SAMPLES = 8, BLOCK_COUNTERS = 8192 };
 #define SUM_SMOOTHING 0.05
 #define SQRT3         1.7320508075688772
 
-/* What `missing_cycles` found, where it is no number of cycles. */
+/* Results of `missing_cycles` that are not a number of cycles. */
 enum { TOO_LATE = -1, START_ANEW = -2 };
 
-/* Cycles missing before a sample with this counter, of so many values. */
+/* Number of cycles missing before a sample with this counter; values: of the counter. */
 static int64_t missing_cycles(const struct receiver *receiver, const struct drive_input *drive,
                               int64_t counter, int64_t values, int64_t t_ns, int64_t period_ns)
 {
@@ -27,7 +27,7 @@ static int64_t missing_cycles(const struct receiver *receiver, const struct driv
         return START_ANEW;
     const int64_t delta = (counter - drive->sample_counter + values) % values;
     const double turns = ((double)passed / (double)period_ns - (double)delta) / (double)values;
-    if (turns < -1.0) /* a whole turn of the counter too late; and the product stays in range */
+    if (turns < -1.0) /* a whole turn of the counter too late; this also bounds the product */
         return TOO_LATE;
     const int64_t cycles = delta + values * round_half_even(turns);
     return cycles > 0 ? cycles - 1 : TOO_LATE;
@@ -75,7 +75,7 @@ static void append_sample(struct receiver *receiver, int32_t drive, const double
     }
 }
 
-/* Keep one half under its counter: of three phase currents their alpha and beta. */
+/* Store one half under its counter: of three phase currents, their alpha and beta. */
 static void keep_half(struct drive_input *drive, const struct channel *channel, const double *value,
                       int64_t t_ns, int64_t counter)
 {
@@ -87,14 +87,14 @@ static void keep_half(struct drive_input *drive, const struct channel *channel, 
     half->value[1] = b;
     if (channel->kind == KIND_CURRENTS) {
         const double c = value[columns[2]];
-        /* A real motor's phases sum to nothing; a slow average forgives noise. */
+        /* The phase currents of a real motor sum to zero; a slow average tolerates noise. */
         drive->current_sum += SUM_SMOOTHING * (fabs(a + b + c) - drive->current_sum);
         half->value[0] = (2.0 * a - b - c) / 3.0;
         half->value[1] = (b - c) / SQRT3;
     }
 }
 
-/* A row of currents or voltages, and the sample that it completes. */
+/* Store a row of currents or voltages, and append the sample that it completes. */
 static void pair_halves(struct receiver *receiver, const struct channel *channel,
                         const double *value, int64_t t_ns, int64_t counter)
 {
@@ -122,13 +122,13 @@ static void pair_halves(struct receiver *receiver, const struct channel *channel
         append_sample(receiver, channel->drive, u, y, channel->steps, missing * channel->steps);
 }
 
-/* A row of eight samples: index, then Ia, Ib, Ualpha, Ubeta of each. */
+/* Append a row of eight samples: index, then Ia, Ib, Ualpha, Ubeta of each. */
 static int append_block(struct receiver *receiver, const struct channel *channel,
                         const double *value, int64_t t_ns)
 {
     const int32_t *columns = channel->columns;
     const double index = value[columns[0]];
-    if (!(index >= 0.0 && index < BLOCK_SAMPLES * BLOCK_COUNTERS)) /* NaN, too */
+    if (!(index >= 0.0 && index < BLOCK_SAMPLES * BLOCK_COUNTERS)) /* NaN as well */
         return 0;
     const int64_t first = (int64_t)index;
     if (first % BLOCK_SAMPLES != 0)

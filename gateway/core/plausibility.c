@@ -1,14 +1,14 @@
-/* Currents and Motion that are well protected and wrong: held, late, turned, of another scale.
+/* Detects well-protected but wrong currents and Motion: held, late, turned, of another scale.
  *
  * A converter that hangs behind a live CAN layer sends good counters and checksums with old values.
- * The currents are checked in current_plausibility.c; here stand two more witnesses:
+ * current_plausibility.c checks the currents; this file has two more checks:
  *
- * - Load: that of the filter against that of the observer.
- * - Motion that stands still: Speed and Torque the same for 100 ms while others change.
+ * - Load: that of the filter compared with that of the observer.
+ * - Held Motion: Speed and Torque constant for 100 ms while others change.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
- * condition is written so that false, which every comparison with NaN is, is the safe answer. The
- * divisor is a number of pole pairs; stamps are between 0 and now. */
+ * condition is written so that false, the result of every comparison with NaN, is the safe answer.
+ * The divisor is a number of pole pairs; stamps are between 0 and now. */
 #include "gateway/core/plausibility.h"
 
 #include <math.h>
@@ -19,32 +19,32 @@
 #include "gateway/core/misfits.h"
 #include "gateway/core/observer.h"
 
-/* From so long before the end of an implausible input on, the filter starts anew. */
+/* The filter starts anew from this time before the end of an implausible input on. */
 static const int64_t RESTART_NS = 20 * MS_NS;
 static const struct misfit_rule OF_MOTION = {3, 0};
-/* Filter and observer follow a loss unlike for up to three readings. */
+/* Filter and observer follow a loss differently for up to three readings. */
 static const struct misfit_rule OF_LOAD = {4, 0};
 /* Largest difference of two loads, per unit of rated torque and of the observed one. */
 #define LOAD_OFF          0.25
 #define LOAD_OFF_RELATIVE 0.3
 static const int64_t MOTION_HELD_NS = 100 * MS_NS;
-/* What others must have changed by: a speed, as a share and in rad/s, or the torque command, per
- * unit of rated torque. */
+/* Least change of others: a speed, as a share and in rad/s, or the torque command, per unit of
+ * rated torque. */
 #define SPEED_MOVED       0.03
 #define SPEED_MOVED_RAD_S 1.0
 #define COMMAND_MOVED     0.15
-#define MOST_TURN         2.5 /* rad between two samples of current, of a rotor that a filter can track */
+#define MOST_TURN         2.5 /* rad between two samples of current: a filter can track no faster rotor */
 
-/* ---- Motion that stands still ---- */
+/* ---- Held Motion ---- */
 
-/* 1 if a speed has changed; 0 where one of the two is not known. */
+/* 1 if a speed has changed; 0 if one of the two is not known. */
 static int has_moved(double now, double before)
 {
     return fabs(now - before) > larger(SPEED_MOVED * fabs(now), SPEED_MOVED_RAD_S);
 }
 
-/* 1 if the filter of a drive tracks its rotor. Near two samples of current per revolution it may as
- * well track an alias of it. */
+/* 1 if the filter of a drive tracks its rotor. Near two samples of current per revolution it may
+ * track an alias of it instead. */
 static int is_tracked(const struct motion_monitor *m, int64_t k)
 {
     const double w_e = m->motions[k].pole_pairs * m->inputs[k].speed_rad_s;
@@ -52,7 +52,7 @@ static int is_tracked(const struct motion_monitor *m, int64_t k)
     return m->estimates[k].health == HEALTH_TRACKING && !may_be_alias;
 }
 
-/* Rotor speed by the currents, rad/s; NaN: not known. */
+/* Rotor speed from the currents, rad/s; NaN: not known. */
 static double own_speed(const struct motion_monitor *m, int64_t k)
 {
     return is_tracked(m, k) ? m->filters[k].x[2] / m->motions[k].pole_pairs : NAN;
@@ -74,7 +74,7 @@ static int all_others_moved(const struct motion_monitor *m, int64_t k)
     return any;
 }
 
-/* 1 if Motion of drive k stands still while something that it must follow has changed. */
+/* 1 if Motion of drive k is held while something that it must follow has changed. */
 static int is_motion_held(const struct motion_monitor *m, int64_t k, double own, int64_t now_ns)
 {
     const struct plausibility *p = &m->checks[k];
@@ -87,12 +87,12 @@ static int is_motion_held(const struct motion_monitor *m, int64_t k, double own,
     const int commanded = fabs(in->command - p->command) > COMMAND_MOVED * p->rated_nm;
     if (commanded && now_ns - in->command_ns > MOTION_HELD_NS)
         return 1;
-    /* With a speed of its own it turns as steadily as it sends. */
+    /* While its own speed is known, it turns as steadily as it sends. */
     return isnan(own) && all_others_moved(m, k);
 }
 
-/* A row of `others` with the speeds of this tick, in place of that of drive k. The other drives have
- * n - 1 rows at most, so that one is free. */
+/* Write the speeds of this tick into a row of `others`, in place of that of drive k. The other
+ * drives have n - 1 rows at most, so that one is free. */
 static int64_t note_others(struct motion_monitor *m, int64_t k)
 {
     for (int64_t j = 0; j < m->n; j++)
@@ -108,7 +108,7 @@ static int64_t note_others(struct motion_monitor *m, int64_t k)
     return row;
 }
 
-/* If Motion has changed, note what was so when it did. row: of `others` in this tick; -1: none yet. */
+/* If Motion has changed, note the circumstances. row: of `others` in this tick; -1: none yet. */
 static void note_motion(struct motion_monitor *m, int64_t r, double own, int64_t *row)
 {
     const struct receiver *from = m->receiver;
@@ -128,7 +128,7 @@ static void note_motion(struct motion_monitor *m, int64_t r, double own, int64_t
 
 /* ---- A tick ---- */
 
-/* 1 if the load of the filter is another than that of the observer. */
+/* 1 if the load of the filter differs from that of the observer. */
 static int is_load_off(const struct motion_monitor *m, int64_t k)
 {
     if (!is_tracked(m, k) || !is_observer_settled(&m->motions[k]))
@@ -151,7 +151,7 @@ static void check_reading(struct motion_monitor *m, int64_t r, int64_t *row, int
     count_misfit(m, k, &p->load_misfits, load_off, &OF_LOAD, now_ns);
 }
 
-/* A filter that was given implausible input starts anew: what it has learnt meanwhile is of no use. */
+/* A filter that was given implausible input starts anew: what it has learnt meanwhile is wrong. */
 static void restart_filter(struct motion_monitor *m, int64_t k, int64_t now_ns)
 {
     struct plausibility *p = &m->checks[k];
@@ -166,7 +166,7 @@ static void restart_filter(struct motion_monitor *m, int64_t k, int64_t now_ns)
 void check_plausibility(struct motion_monitor *m, int64_t now_ns)
 {
     check_samples(m, now_ns);
-    int64_t row = -1; /* of `others` */
+    int64_t row = -1; /* row of `others` */
     for (int64_t r = 0; r < m->receiver->tick.motions; r++)
         check_reading(m, r, &row, now_ns);
     for (int64_t k = 0; k < m->n; k++) {

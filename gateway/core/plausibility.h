@@ -1,4 +1,4 @@
-/* Currents and Motion that are well protected and wrong: held, late, turned, of another scale. */
+/* Detection of currents and Motion that are well protected and wrong. */
 #ifndef TRACTION_PLAUSIBILITY_H
 #define TRACTION_PLAUSIBILITY_H
 
@@ -6,7 +6,7 @@
 
 /* Check the samples and readings of a tick, after `follow_readings` and before `select_sources`: sets
  * `implausible_until_ns` of `checks`, and `unreliable_until_ns` of `rotors`, until which the currents
- * accuse no drive. The speed of a Motion that stands still is not known any more (`inputs`). A filter
+ * are no evidence of a loss. The speed of a held Motion becomes NaN in `inputs`. A filter
  * whose input was implausible starts anew. */
 void check_plausibility(struct motion_monitor *m, int64_t now_ns);
 

@@ -1,8 +1,8 @@
-/* Frames of a tick to samples, readings and the state of every channel.
+/* Frames of a tick converted to samples, readings and the state of every channel.
  *
- * Bad input ends in a counter, and its cause is kept, so that a flag can say why it is unknown.
+ * Bad input is counted, and its cause is kept, so that a flag can report why it is unknown.
  * No function here can fail: an index of a channel, a node or a column comes from a constant table,
- * rows are as many as there is room for, and nothing is divided by what was received. */
+ * there is room for all rows, and no received value is a divisor. */
 #include "gateway/core/receive.h"
 
 #include <math.h>
@@ -16,7 +16,7 @@
 
 enum { EXTENDED_SHIFT = 31, HEARTBEAT_BASE = 0x700 };
 
-/* ---- whose a frame is */
+/* ---- Owner of a frame */
 
 int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flags)
 {
@@ -25,7 +25,7 @@ int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flag
         return receiver->standard_ids[can_id];
     const int64_t key = (int64_t)can_id | (int64_t)extended << EXTENDED_SHIFT;
     int64_t first = 0, last = receiver->id_count;
-    while (first < last) { /* halves the interval each time */
+    while (first < last) { /* halves the interval in each pass */
         const int64_t middle = (first + last) / 2;
         if (receiver->ids[middle].key < key)
             first = middle + 1;
@@ -38,10 +38,10 @@ int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flag
 
 /* ---- protection */
 
-/* 1 if a frame is the last one of its channel, byte for byte; the next is compared with it. */
+/* 1 if a frame equals the last one of its channel, byte for byte; the next is compared with it. */
 static int replace_last_frame(struct channel *channel, const uint8_t *data)
 {
-    /* In whole words: behind the length are zeros. */
+    /* In whole words: the bytes after the length are zeros. */
     const int length = (channel->e2e_config.length + 7) / 8 * 8;
     uint64_t differences = 0;
     for (int b = 0; b < length; b += 8)
@@ -56,8 +56,8 @@ static void note_rejected(struct channel *channel, uint8_t reason)
     channel->protection_reason = reason;
 }
 
-/* A frame with good checksum and counter: 1 if it may be used. While the receiver is invalid, nothing
- * gets in; at the start good frames do, and their channel is still unknown. */
+/* A frame with good checksum and counter: 1 if it may be used. No frame is used while the receiver
+ * is invalid; at the start, good frames are used while their channel is still unknown. */
 static int accept(struct receiver *receiver, struct channel *channel, int64_t t_ns)
 {
     const struct e2e_state *state = &channel->e2e_state;
@@ -70,7 +70,7 @@ static int accept(struct receiver *receiver, struct channel *channel, int64_t t_
     return 0;
 }
 
-/* 1 if a frame of a channel may be used. One that may not updates counters and reasons only. */
+/* 1 if a frame of a channel may be used. A rejected frame updates counters and reasons only. */
 static int verify(struct receiver *receiver, struct channel *channel, const uint8_t *data,
                   int64_t t_ns)
 {
@@ -97,15 +97,15 @@ static int verify(struct receiver *receiver, struct channel *channel, const uint
 
 /* ---- values */
 
-/* Whether the sender says that its message may be used. */
+/* 1 if the sender's quality permits the use of its message. */
 static int has_quality(const struct channel *channel, const double *value)
 {
     const int32_t quality = channel->quality;
     return quality < 0 || value[quality] == 1.0 || value[quality] == 2.0; /* Valid, Degraded */
 }
 
-/* Whether the signals of a decoded row that the gateway uses may be used: RX_DECODED, else why not.
- * One that nobody here uses says nothing of the others. */
+/* Whether the used signals of a decoded row are valid: RX_DECODED, else the reason. An invalid
+ * signal that the gateway does not use does not affect the others. */
 static enum rx_counter judge(const struct channel *channel, const double *value,
                              const uint8_t *validity)
 {
@@ -120,7 +120,7 @@ static enum rx_counter judge(const struct channel *channel, const double *value,
     return has_quality(channel, value) ? found : RX_NOT_AVAILABLE;
 }
 
-/* Temperatures: each sensor by itself, as one that is dead must not silence the other three. */
+/* Temperatures: each sensor separately, as one dead sensor must not invalidate the other three. */
 static void note_temperatures(struct channel *channel, const double *value, const uint8_t *validity,
                               int64_t t_ns)
 {
@@ -134,11 +134,11 @@ static void note_temperatures(struct channel *channel, const double *value, cons
 
 #define RADIANS      0.017453292519943295 /* rad in a degree */
 #define RPM          0.10471975511965977  /* rad/s in one revolution per minute */
-#define STEADY_NM    0.5  /* a command that moved less is steady: the wire's noise */
-#define STEADY_SHARE 0.05 /* and this share of it */
-#define OPERATION    2.0  /* `State` of an inverter that drives */
+#define STEADY_NM    0.5  /* a command that changed by less is steady: the noise of the wire */
+#define STEADY_SHARE 0.05 /* plus this share of the command */
+#define OPERATION    2.0  /* `State` of an inverter in operation */
 
-/* Value of a used column, NaN if there is no such column or the value is not valid. */
+/* Value of a used column; NaN if there is no such column or its value is not valid. */
 static double used_value(const struct channel *channel, int k, const double *value,
                          const uint8_t *validity)
 {
@@ -147,8 +147,8 @@ static double used_value(const struct channel *channel, int k, const double *val
     return value[channel->columns[k]];
 }
 
-/* Motion: speed, torque, and the angle if there is one. The speed counts without the torque; the
- * torque says nothing without the speed. Returns 1 if there is a speed. */
+/* Motion: speed, torque, and the angle if it is sent. The speed is used without the torque; the
+ * torque is not used without the speed. Returns 1 if the speed is valid. */
 static int note_motion(struct receiver *receiver, const struct channel *channel,
                        const double *value, const uint8_t *validity, int64_t t_ns)
 {
@@ -168,8 +168,8 @@ static int note_motion(struct receiver *receiver, const struct channel *channel,
     return 1;
 }
 
-/* Status: torque command, current, and the state if there is one, each by itself. Returns 1 if there
- * is a command or a current. */
+/* Status: torque command, current, and the state if it is sent, each separately. Returns 1 if
+ * command or current is valid. */
 static int note_status(struct receiver *receiver, const struct channel *channel,
                        const double *value, const uint8_t *validity, int64_t t_ns)
 {
@@ -189,8 +189,8 @@ static int note_status(struct receiver *receiver, const struct channel *channel,
     return 1;
 }
 
-/* Motion and Status: each signal by itself. Returns why the first one, which adhesion needs, may not
- * be used, or RX_DECODED. */
+/* Motion and Status: each signal separately. Returns the reason why the first signal, which
+ * adhesion needs, may not be used, or RX_DECODED. */
 static enum rx_counter note_separate(struct receiver *receiver, struct channel *channel,
                                      int64_t row, const double *value, const uint8_t *validity)
 {
@@ -206,7 +206,7 @@ static enum rx_counter note_separate(struct receiver *receiver, struct channel *
     return first == SIGNAL_NOT_AVAILABLE ? RX_NOT_AVAILABLE : RX_RANGE;
 }
 
-/* A good row of currents, voltages or samples. */
+/* Use a good row of currents, voltages or samples. */
 static enum rx_counter note_good(struct receiver *receiver, struct channel *channel, int64_t row)
 {
     if (!pair_samples(receiver, row))
@@ -240,9 +240,9 @@ static void note_row(struct receiver *receiver, int64_t row)
     receiver->counters[found]++;
 }
 
-/* ---- one tick */
+/* ---- One tick */
 
-/* A frame that no channel receives, with a stamp: heartbeat, emergency or nobody's. */
+/* A frame of no channel, with a stamp: heartbeat, emergency or an unknown identifier. */
 static void receive_other(struct receiver *receiver, int64_t owner, const struct frame *frame)
 {
     if (owner != ID_SUPERVISED) {
@@ -258,14 +258,14 @@ static void receive_other(struct receiver *receiver, int64_t owner, const struct
     }
 }
 
-/* A frame of a channel: kept for decoding if it may be used. */
+/* A frame of a channel: stored for decoding if it may be used. */
 static void receive_channel(struct receiver *receiver, int64_t c, const struct frame *frame)
 {
     struct channel *channel = &receiver->channels[c];
     const struct e2e_config *config = &channel->e2e_config;
     channel->received_ns = frame->t_ns;
     if (frame->length != config->length || (frame->flags & FRAME_FD) != config->fd) {
-        /* One with this identifier that cannot be this message is as bad as a wrong checksum. */
+        /* With this identifier, another length counts like a wrong checksum. */
         receiver->counters[RX_WRONG_LENGTH]++;
         e2e_sm_check(&channel->e2e_state, E2E_P_ERROR);
         note_rejected(channel, REASON_CORRUPTED);
@@ -280,7 +280,7 @@ static void receive_channel(struct receiver *receiver, int64_t c, const struct f
     copy_words(receiver->payload + row * PAYLOAD_BYTES, frame->data, PAYLOAD_BYTES);
 }
 
-/* Any frame. */
+/* Receive any frame. */
 static void receive_frame(struct receiver *receiver, const struct frame *frame, int64_t now_ns)
 {
     const uint8_t flags = frame->flags;
@@ -296,7 +296,7 @@ static void receive_frame(struct receiver *receiver, const struct frame *frame, 
         receiver->tick.own++;
         return;
     }
-    /* A heartbeat from the future would keep its node alive until then; below 0 there is no time. */
+    /* A heartbeat from the future would keep its node alive until then; no time is below 0. */
     const int64_t oldest = owner < 0 ? 0 : receiver->channels[owner].accepted_ns;
     if (frame->t_ns < 0 || frame->t_ns > now_ns || frame->t_ns < oldest)
         receiver->counters[RX_TIME_BACK]++;
@@ -335,7 +335,7 @@ static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
     if (now_ns < channel->guard.rejected_until_ns)
         return REASON_SEQUENCE;
     if (channel->e2e_config.profile != E2E_PROFILE_NONE && state != E2E_SM_VALID) {
-        /* Single good frames do not end it; what last went wrong is why. */
+        /* Single good frames do not end this; the reason is the last error of the protection. */
         if (channel->protection_reason != REASON_NONE)
             return channel->protection_reason;
         return state == E2E_SM_INVALID ? REASON_STALE : REASON_STARTING;

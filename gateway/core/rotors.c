@@ -1,15 +1,15 @@
-/* Speeds of the rotors against one another, and what accelerates them.
+/* Comparison of the rotors' speeds, and the torque that accelerates them.
  *
- * - Acceleration: that of the median rotor, never of the wheel that is judged; of two the slower in
- *   traction, the faster in braking. A load is credited with what its own rotor takes of it.
- * - Speed: a rotor more than MOST_CREEP from the median of the others is never adhering. Wheel
+ * - Acceleration: that of the median rotor, never of the wheel that is judged; of two, the slower
+ *   in traction, the faster in braking. A load is credited with the part that its own rotor takes.
+ * - Speed: a rotor that is more than MOST_CREEP from the median of the others never adheres. Wheel
  *   diameters are learnt, to within MOST_DIAMETER.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
  * comparison with NaN is false, and each condition is written so that false is the safe answer.
  * Divisors are ratings, constants, a diameter within MOST_DIAMETER of 1, or speeds of at least
- * LEAST_SPEED; that of `own_change` may be 0, which gives infinity, no small change. Each ranking has
- * room for all rotors, and `next_alike` is above the own place, so that its loops end. */
+ * LEAST_SPEED; that of `own_change` may be 0, which gives infinity, not a small change. Rankings
+ * have room for all rotors, and `next_alike` is above the own index, so that its loops end. */
 #include "gateway/core/rotors.h"
 
 #include <math.h>
@@ -18,41 +18,41 @@
 #include "gateway/core/train_speed.h"
 
 #define ACCELERATION_TAU_S 0.5 /* time constant of the acceleration of a rotor, */
-#define BRAKE_TAU_S        0.1 /* and where friction brakes may be its cause */
-/* By its own motors never more than a hill's part and this share of the load: what turns is a few
- * percent of the inertia of a train. All wheels that run away together need more; so does a train that
- * friction brakes slow, and which of the two it is nobody knows. */
+#define BRAKE_TAU_S        0.1 /* and of one that friction brakes may cause */
+/* By its own motors a train accelerates by no more than a hill's part plus this share of the load:
+ * what turns is a few percent of its inertia. All wheels running away together need more torque; so
+ * does a train slowed by friction brakes, and the two cases cannot be distinguished. */
 #define ROTATING_FLOOR 0.02
 #define ROTATING_SHARE 0.08
-/* A drive without others that accelerates by more (per unit of rated torque), or is so far from its
- * own speed of late (as a share of it), may be running away. A train of 1 m/s^2 is beyond 1.7 m/s
- * when it is not. */
+/* A drive without others may be running away if it accelerates by more than this (per unit of rated
+ * torque), or is this far from its own recent speed (as a share of it). A train of 1 m/s^2 is
+ * beyond 1.7 m/s if it does not run away. */
 #define SINGLE_CREDIT 0.05
 #define SINGLE_CHANGE 0.3
-#define GRIPS_S       1.0 /* a wheel that slid has its grip back after so long */
-/* An estimated speed that differs by more from the measured one, which is up to 10 ms old, is no
- * measure for others: share and rad/s. */
+#define GRIPS_S       1.0 /* a wheel that slid has regained its grip after this time */
+/* A rotor whose estimated speed differs by more from its measured one, which is up to 10 ms old, is
+ * no measure for others: share, and rad/s. */
 #define SPEEDS_APART       0.05
 #define SPEEDS_APART_RAD_S 1.0
-/* An estimate that has been followed for less may be on its way from a guess: beyond LEARN_CREEP
- * from it, the measured speed goes before it. */
+/* An estimate that has been followed for a shorter time may still converge from a wrong start: if
+ * it differs by more than LEARN_CREEP, the measured speed is used instead. */
 #define FOLLOWED_S 0.2
 #define MOST_CREEP                                                                                 \
-    0.08 /* of a rotor against the others, which creep by a percent or two themselves */
-#define MOST_APART 0.1 /* the same while its diameter is not known yet, diameters included */
-#define NEAR_S     0.1 /* a rotor is back after so long: one that turns backwards passes by */
-/* A rotor that all others have left is compared with its own speed before that for so long. Longer
- * would break the rule that a rotor 10 % from the others is Adhering for 200 ms at most. */
+    0.08 /* limit for a rotor against the others, which creep by a percent or two themselves */
+#define MOST_APART 0.1 /* the same, diameters included, while its diameter is not known */
+#define NEAR_S     0.1 /* a rotor is back after so long: one that turns backwards only passes */
+/* A rotor that all others have left is compared with its own earlier speed for this time. A longer
+ * time would break the rule that a rotor 10 % from the others is Adhering for at most 200 ms. */
 #define ALONE_S          0.15
-#define LEARN_CREEP      0.03 /* diameters are learnt while a rotor is no further from the others */
-#define DIAMETER_FIRST_S 3.0  /* of adhering; until then any diameter is expected */
-#define DIAMETER_TAU_S   60.0 /* then so slowly: a slip that grows over seconds is no diameter */
+#define LEARN_CREEP      0.03 /* diameters are learnt from rotors that are no further from others */
+#define DIAMETER_FIRST_S 3.0  /* time of adhering; until then any diameter is expected */
+#define DIAMETER_TAU_S   60.0 /* after that, slow: a slip that grows over seconds is no diameter */
 #define MOST_DIAMETER    0.06
-#define SLIDING_S        0.05 /* a rotor that is off the train by so much is lost after so long */
+#define SLIDING_S        0.05 /* a rotor that is so far off the train is lost after this time */
 
 /* ---- Speeds and loads of this tick ---- */
 
-/* The speed that is taken of a drive whose filter tracks: estimated, measured, or none. */
+/* Speed used for a drive whose filter tracks: estimated, measured, or NaN. */
 static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in, int64_t now_ns)
 {
     const double measured = in->measured_rad_s;
@@ -64,7 +64,7 @@ static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in
     return guess ? measured : in->speed_rad_s;
 }
 
-/* Speed and load of one rotor; 1 if its filter tracks. */
+/* Note speed and load of one rotor; 1 if its filter tracks. */
 static int note_rotor(const struct train_tick *t, struct rotor *r, const struct rotor_inputs *in)
 {
     r->load = NAN;
@@ -79,8 +79,8 @@ static int note_rotor(const struct train_tick *t, struct rotor *r, const struct 
     return 1;
 }
 
-/* Speed and load of every rotor; whether the train brakes. The load of a wheel that slides is what
- * slows its rotor, and no effort: it counts only where all wheels slide. */
+/* Note speed and load of every rotor, and whether the train brakes. The load of a wheel that slides
+ * slows its own rotor and is no effort of the train, unless all wheels slide. */
 static void note(struct train_tick *t)
 {
     double total[2] = {0.0, 0.0}; /* of rotors that turn with the others, of those that do not */
@@ -100,8 +100,8 @@ static void note(struct train_tick *t)
 
 /* ---- Acceleration ---- */
 
-/* Relative rate of a rotor, 1/s, so that it is the same for all diameters and gears; NaN where it is
- * slow. Follows the smoothed speed. */
+/* Relative rate of a rotor, 1/s, which is the same for all diameters and gears; NaN if the rotor is
+ * slow. Updates the smoothed speed. */
 static double relative_rate(double *smoothed, double speed, double tick_s, double tau_s)
 {
     const double before = isnan(*smoothed) ? speed : *smoothed;
@@ -113,7 +113,7 @@ static double relative_rate(double *smoothed, double speed, double tick_s, doubl
 struct rates {
     double steady;
     double quick; /* the same, less smoothed */
-    int count;    /* of how many rotors */
+    int count;    /* number of rotors */
 };
 
 static struct rates median_rates(struct train_tick *t)
@@ -122,7 +122,7 @@ static struct rates median_rates(struct train_tick *t)
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         if (isnan(r->speed)) {
-            /* Beside a measured speed that is apart the drive is still followed. */
+            /* A drive whose measured speed differs from the estimate is still followed. */
             if (isnan(r->load))
                 r->slow_speed = r->quick_speed = NAN;
             continue;
@@ -138,14 +138,14 @@ static struct rates median_rates(struct train_tick *t)
                           .count = steady.count};
 }
 
-/* Torque, per unit of the rated one, that takes a rotor through its part of a rate; 0: not known. */
+/* Torque, per unit of the rated one, by which a rotor follows a rate; 0: not known. */
 static double torque_at(const struct rotor *r, double rate, double speed)
 {
     const double torque = r->inertia_kg_m2 * rate * speed / r->rated_nm;
     return isnan(torque) ? 0.0 : clamp(torque, -MOST_ACCELERATION, MOST_ACCELERATION);
 }
 
-/* What every rotor takes to follow the median of all. */
+/* Torque by which each rotor follows the median of all. */
 static void accelerate(struct train_tick *t)
 {
     const struct rates rates = median_rates(t);
@@ -170,7 +170,7 @@ void follow_braked(struct rotor *r, int braked, double tick_s)
     const double rate = braked ? torque / (r->inertia_kg_m2 * slow) : -MOST_CREEP / GRIPS_S;
     r->braked_creep = larger(0.0, r->braked_creep + rate * tick_s);
     if (r->braked_creep > MOST_CREEP) {
-        r->braked_creep = MOST_CREEP; /* the doubt ends with its cause */
+        r->braked_creep = MOST_CREEP; /* the uncertainty ends with its cause */
         r->uncertain = 1;
     }
 }
@@ -180,10 +180,10 @@ void follow_braked(struct rotor *r, int braked, double tick_s)
 /* Ascending speeds of the rotors of one motor. */
 struct speeds {
     struct ranking tracked; /* of those that are tracked */
-    struct ranking all;     /* sorted where fewer than two are tracked: else nobody asks for them */
+    struct ranking all;     /* sorted only if fewer than two are tracked: else it is not used */
 };
 
-/* Of the rotors with the motor of rotor `first`. */
+/* Rank the speeds of the rotors with the motor of rotor `first`. */
 static struct speeds rank_speeds(const struct train_tick *t, int first)
 {
     struct speeds out = {.tracked.numbers = t->workspace, .all.numbers = t->workspace + t->n};
@@ -199,7 +199,7 @@ static struct speeds rank_speeds(const struct train_tick *t, int first)
     return out;
 }
 
-/* Median speed of the others that are tracked, else of all others; NaN without any. */
+/* Median speed of the other rotors that are tracked, else of all others; NaN without any. */
 static double reference_speed(const struct train_tick *t, const struct speeds *speeds,
                               const struct rotor *r)
 {
@@ -208,14 +208,14 @@ static double reference_speed(const struct train_tick *t, const struct speeds *s
     return isnan(tracked) ? median_of_others(&speeds->all, r->speed, t->drags) : tracked;
 }
 
-/* By what share a rotor is faster than it was of late. */
+/* Relative change of a rotor's speed from its recent mean. */
 static double own_change(const struct rotor *r)
 {
     return r->speed * r->diameter / fabs(r->slow_speed) - 1.0;
 }
 
-/* 1 if all other wheels have left a rotor just now, and it is as fast as before. known: rotors of its
- * motor whose speed is known, itself among them; away: how many of these are away. */
+/* 1 if all other wheels have left a rotor just now, and its speed has not changed. known: number of
+ * rotors of its motor with known speed, this one included; away: number of these that are away. */
 static int stays(const struct train_tick *t, struct rotor *r, int known, int away)
 {
     const int inside = !isnan(r->speed);
@@ -226,16 +226,16 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
     return r->alone_s > 0.0 && r->alone_s <= ALONE_S && kept;
 }
 
-/* Slip of a wheel against the train, or against the others where that is more: a drive that alone is
- * tracked leads the train's speed by itself. */
+/* Slip of a wheel relative to the train, or to the others if that is more: a drive that alone is
+ * tracked determines the train's speed itself. */
 static double slip_of(const struct train_tick *t, const struct rotor *r)
 {
     const double against_others = (t->drags ? -1.0 : 1.0) * r->creep;
     return isnan(r->slip) || against_others > r->slip ? against_others : r->slip;
 }
 
-/* 1 if a wheel has left the others for the side that the effort takes it to, until it is back: its
- * own speed has changed, not theirs. */
+/* 1 if a wheel has left the others in the direction of the effort, until it is back: its own speed
+ * has changed, not theirs. */
 static int runs_away(const struct train_tick *t, const struct rotor *r)
 {
     const double effort = t->drags ? -1.0 : 1.0;
@@ -245,7 +245,7 @@ static int runs_away(const struct train_tick *t, const struct rotor *r)
     return slip > MOST_CREEP && effort * own_change(r) > LEARN_CREEP;
 }
 
-/* Before its diameter is known: what has been learnt so far may be a slip that grows. */
+/* Compare before a diameter is known: what has been learnt so far may be a slip that grows. */
 static void compare_unknown_diameters(struct train_tick *t, int first)
 {
     int any_unknown = 0;
@@ -266,7 +266,7 @@ static void compare_unknown_diameters(struct train_tick *t, int first)
     }
 }
 
-/* Creep of every rotor against the others, and which of them run away. */
+/* Find the creep of every rotor relative to the others, and which rotors run away. */
 static void compare_speeds(struct train_tick *t, int first)
 {
     for (int k = first; k < t->n; k = next_alike(t, k))
@@ -281,13 +281,13 @@ static void compare_speeds(struct train_tick *t, int first)
             r->creep = r->speed / others - 1.0;
         if (!isnan(r->creep) || !isnan(r->slip))
             r->away = (uint8_t)runs_away(t, r);
-        /* Only such as have turned with the others. */
+        /* Only rotors that have turned with the others. */
         const int known = r->learnt_s >= DIAMETER_ROUGH_S;
         r->sliding = known && r->away && r->sliding_s > SLIDING_S;
     }
 }
 
-/* Which rotors are too far from the others to be adhering. */
+/* Find rotors that are too far from the others to adhere. */
 static void find_apart(struct train_tick *t, int first)
 {
     int known = 0, away = 0;
@@ -301,7 +301,7 @@ static void find_apart(struct train_tick *t, int first)
         const int left = stays(t, r, known, away);
         r->uncertain = r->uncertain || (r->far && !left);
         if (isnan(r->creep) && isnan(r->slip)) {
-            /* Nobody sees whether it is back. */
+            /* It is not known whether it is back. */
             r->uncertain = r->uncertain || r->apart;
             continue;
         }
@@ -314,8 +314,8 @@ static void find_apart(struct train_tick *t, int first)
     }
 }
 
-/* Speed in the direction of the train: negative for a wheel that brakes without grip until it turns
- * backwards. A drive may be mounted the other way round: its own sign while it adhered decides. */
+/* Speed in the direction of the train: negative if a wheel brakes without grip until it turns
+ * backwards. A drive may be mounted the other way round: its sign while it adhered counts. */
 static double along_train(const struct rotor *r)
 {
     return r->way != 0 ? r->way * r->speed : fabs(r->speed);
@@ -335,11 +335,11 @@ static void compare_alike(struct train_tick *t)
     }
 }
 
-/* What is left between the speeds of wheels that adhere, while none is lost. */
+/* Learn the remaining speed differences of wheels that adhere, while none is lost. */
 static void learn_diameters(struct train_tick *t)
 {
     for (int k = 0; k < t->n; k++)
-        /* A drive that is cut out keeps its flag, and stops nobody from learning. */
+        /* A drive that is cut out keeps its flag, but does not stop the others from learning. */
         if (t->in[k].adhesion == FLAG_BAD && t->in[k].operating)
             return;
     for (int k = 0; k < t->n; k++) {

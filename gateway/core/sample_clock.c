@@ -1,33 +1,33 @@
-/* When samples were taken: how late each one came, and whether the sender has left some out.
+/* Delay of each sample, and samples that the sender has left out.
  *
- * The counter says how many periods lie between two samples; the earliest ones show when they were
- * due. What comes later was delayed by the sender, its bus or a machine - or the sender has left
+ * The counter gives the number of periods between two samples; the earliest samples show when they
+ * were due. A later sample was delayed by the sender, its bus or a machine - or the sender has left
  * samples out without counting them: then the filter would turn the rotor too little. The voltage
- * decides: it turns with the rotor, for each period as far as for those before.
+ * decides: it turns with the rotor, in each period by as much as in those before.
  *
- * Not in paper `adhesion`. No function here can fail: lateness stays between 0 and `max_gap_ns`, a
+ * Not in paper `adhesion`. No function here can fail: the delay stays between 0 and `max_gap_ns`, a
  * period is at least 1 ns, `cycles` at least 1, and a voltage that is not finite makes every
  * comparison false. */
 #include "gateway/core/sample_clock.h"
 
 #include "estimators/vectors.h"
 
-enum { WARM = 16 };      /* samples before a lateness is unusual */
-enum { FOLLOW = 256 };   /* the clock follows the sender's by this part of the lateness, */
-enum { FORGET = 64 };    /* and the usual lateness shrinks by this part of itself, per sample */
+enum { WARM = 16 };      /* samples before a delay can be unusual */
+enum { FOLLOW = 256 };   /* the clock follows the sender's by this part of the delay, */
+enum { FORGET = 64 };    /* and the usual delay shrinks by this part of itself, per sample */
 enum { MEAN = 64 };      /* samples over which the period is averaged */
-enum { OFF = 8 };        /* off by this part the mean period is another than the DBC says */
-enum { MOST = 8 };       /* periods between two samples whose turn still says something */
-#define TURN_FORGET 0.25 /* of the mean turn of a period, per sample */
-#define LEAST_TURN  0.05 /* rad per period; with less nothing is thrown */
-#define TURN_FITS   0.35 /* of the turn of a period: it fits */
+enum { OFF = 8 };        /* if the mean period is off by this part, it is not that of the DBC */
+enum { MOST = 8 };       /* most periods between two samples for their turn to have a meaning */
+#define TURN_FORGET 0.25 /* share of the mean turn of a period that a sample replaces */
+#define LEAST_TURN  0.05 /* rad per period; with less no sample is found left out */
+#define TURN_FITS   0.35 /* share of a period's turn within which a turn fits */
 
 void start_sample_clock(struct sample_clock *clock, const double *u, int64_t period_ns)
 {
     *clock = (struct sample_clock){.mean_ns = period_ns, .u = {u[0], u[1]}};
 }
 
-/* Lateness of a sample that comes so long and so many periods after the one before. */
+/* Delay of a sample that comes so long and so many periods after the one before. */
 static int64_t lateness(const struct sample_clock *clock, int64_t passed_ns, int64_t due_ns,
                         int64_t max_gap_ns)
 {
@@ -37,7 +37,7 @@ static int64_t lateness(const struct sample_clock *clock, int64_t passed_ns, int
     return late_ns < max_gap_ns ? late_ns : max_gap_ns;
 }
 
-/* Whole periods by which a sample is later than usual; 0: not even one. */
+/* Whole periods by which a sample is later than usual; 0: less than one. */
 static int64_t periods_late(const struct sample_clock *clock, int64_t late_ns, int64_t period_ns)
 {
     if (clock->samples < WARM || late_ns - clock->usual_ns <= 3 * period_ns / 4)
@@ -53,7 +53,7 @@ static int fits(const struct sample_clock *clock, double _Complex turn, int64_t 
     return fabs(each) > LEAST_TURN && fabs(off) < TURN_FITS * fabs(each);
 }
 
-/* Periods left out before a sample that is so many of its counter after the one before and late. */
+/* Periods left out before a late sample that is `cycles` of its counter after the one before. */
 static int64_t left_out(const struct sample_clock *clock, double _Complex turn, int64_t cycles,
                         int64_t late)
 {
@@ -62,7 +62,7 @@ static int64_t left_out(const struct sample_clock *clock, double _Complex turn, 
     return fits(clock, turn, cycles + late) ? late : 0;
 }
 
-/* Note a lateness. Of a sender that does not keep the period nobody knows when samples were due. */
+/* Note a delay. If the sender does not keep the period, it is not known when samples were due. */
 static void note_lateness(struct sample_clock *clock, int64_t late_ns, int64_t period_ns)
 {
     const int64_t off_ns = clock->mean_ns - period_ns;
@@ -74,7 +74,7 @@ static void note_lateness(struct sample_clock *clock, int64_t late_ns, int64_t p
     clock->samples += clock->samples < WARM;
 }
 
-/* Note the voltage and, of two samples that follow one another, how far it turned. */
+/* Note the voltage and, if two samples are consecutive, how far it has turned. */
 static void note_voltage(struct sample_clock *clock, const double *u, double _Complex turn,
                          int follows)
 {

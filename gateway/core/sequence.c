@@ -1,17 +1,17 @@
 /* Signs of a second sender of one message.
  *
- * Each counter step takes a sender one period. Of two senders at least one counter a period jumps
- * ahead, or stands still, sooner; what jumps because frames were lost comes late. A restart of the
- * sender is one sign. Nothing here can fail: stamps are at least -1, sums are bounded. */
+ * Each counter step takes a sender one period. With two senders, at least one counter per period
+ * jumps ahead, or stands still, too soon; a jump because of lost frames comes late. A restart of
+ * the sender is one sign. Nothing here can fail: stamps are at least -1, sums are bounded. */
 #include "gateway/core/sequence.h"
 
-#define GUARD_NS 1000000000 /* after the last sign no frame of that message is used for so long */
+#define GUARD_NS 1000000000 /* after the last sign, frames of the message are rejected so long */
 enum { SECOND_SENDER = 3 }; /* signs, each within GUARD_NS of the one before */
-/* Sum at which identical frames are a sign: each repeated one adds 2, each new one takes 1 away. So
- * five in a row, or two senders in step with equal values; not a controller that repeats some. */
+/* Sum at which identical frames are a sign: each repeat adds 2, each new frame subtracts 1. So five
+ * in a row, or two synchronous senders of equal values; not a controller that repeats some. */
 enum { MAX_REPEATS = 6 };
 
-/* 1 if an identical frame is a sign. */
+/* Count an identical frame; 1 if it is a sign. */
 static int is_repeated_too_often(struct sequence_guard *guard)
 {
     guard->repeats += 2;
@@ -23,7 +23,7 @@ static int is_repeated_too_often(struct sequence_guard *guard)
     return 1;
 }
 
-/* 1 if a counter that is so many steps ahead is a sign. */
+/* 1 if a counter that is this number of steps ahead is a sign. */
 static int is_too_soon(struct sequence_guard *guard, int64_t t_ns, int32_t step)
 {
     const int64_t passed = t_ns - guard->counter_ns;

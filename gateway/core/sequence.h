@@ -4,9 +4,9 @@
 
 #include "gateway/core/records.h"
 
-/* Note the counter of a frame with a good checksum. step: counter steps since the frame before, a
- * whole turn if it is the same; identical: 1 if the frame is the last one, byte for byte. After
- * enough signs no frame of its message is used until `rejected_until_ns`. */
+/* Evaluate the counter of a frame with a good checksum. step: counter steps since the frame before,
+ * a full turn if it is the same; identical: 1 if the frame equals the last one, byte for byte.
+ * After enough signs, frames of the message are rejected until `rejected_until_ns`. */
 void guard_sequence(struct sequence_guard *guard, int64_t t_ns, int32_t step, int32_t identical);
 
 #endif

@@ -1,4 +1,4 @@
-/* Heartbeats of the drives' nodes (CiA 301): who is alive, and how long silence may last.
+/* Heartbeats of the drives' nodes (CiA 301): nodes that are alive, and how long silence may last.
  *
  * No function here can fail: a node's index comes from the table `row`, `gaps` is at least 0 where
  * it is divided by the constant HEARTBEAT_GAPS, and stamps are differences of two that are at
@@ -8,8 +8,8 @@
 enum { HEARTBEAT_BASE = 0x700 };
 enum { BOOT_UP = 0, STOPPED = 4, OPERATIONAL = 5, PRE_OPERATIONAL = 127 };
 enum { TOGGLE = 0x80 }; /* set in every second answer to node guarding, never in a heartbeat */
-enum { REPEAT_NS = 10000000 }; /* so soon after another it is a controller's repetition */
-#define LONGEST_NS 65536000000 /* object 0x1017 has 16 bits of ms: what is longer is a pause */
+enum { REPEAT_NS = 10000000 }; /* a frame so soon after another is a repetition by the controller */
+#define LONGEST_NS 65536000000 /* object 0x1017 has 16 bits of ms: a longer gap is a pause */
 
 /* Median of the last gaps, ns; of an even number the longer of the middle two; 0: there is none. */
 static int64_t received_period(const struct heartbeat *node)
@@ -27,11 +27,11 @@ static int64_t received_period(const struct heartbeat *node)
     return median;
 }
 
-/* A gap between two heartbeats: it sets the time-out, from the second heartbeat in a row on. */
+/* Note a gap between two heartbeats; from the second consecutive one on it sets the time-out. */
 static void note_gap(const struct supervision *all, struct heartbeat *node, int64_t gap_ns)
 {
-    /* -1 stands for its remainder, the last place, as after an answer to node guarding. Without a
-     * sign: any count below that, which only a damaged record holds, gives a place, too. */
+    /* -1 stands for its remainder, the last place, as after an answer to node guarding. Unsigned,
+     * so that any lower count, which only a damaged record holds, gives a valid place, too. */
     const uint64_t place = ((uint64_t)node->gaps + HEARTBEAT_GAPS) % HEARTBEAT_GAPS;
     node->gap_ns[place] = gap_ns;
     node->gaps++;
@@ -42,9 +42,9 @@ static void note_gap(const struct supervision *all, struct heartbeat *node, int6
     node->limit_ns = limit > all->timeout_ns ? limit : all->timeout_ns;
 }
 
-/* A gap is noted unless it says nothing of the period: a boot-up or a node-guard answer stands at
- * one of its ends, or a change of state, which some drives report at once. A node that answers node
- * guarding produces no heartbeat, so it is not supervised until it sends three. */
+/* A gap is noted unless one of its ends is a boot-up, a node-guard answer or a change of state,
+ * which some drives report at once: such a gap does not show the period. A node that answers node
+ * guarding produces no heartbeat, so it is not supervised until it sends three heartbeats. */
 void on_heartbeat(struct supervision *all, int32_t node, int64_t t_ns, int32_t length,
                   int32_t plain, int32_t byte)
 {

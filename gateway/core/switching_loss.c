@@ -1,13 +1,13 @@
-/* From a model with a memory to what the flags are told: the detector `switching`.
+/* The detector `switching`: from the switching model to the probability that the flags use.
  *
- * The model (estimators/detect/switching.c) compares the drives and remembers. That all of them have
- * lost adhesion at once no comparison sees: this comes from their answers to their commands, and is
- * believed where every drive that adheres, as far as the others show, stays behind its own.
+ * The switching model (estimators/detect/switching.c) compares the drives. No comparison detects
+ * that all drives have lost adhesion at once: this is derived from their command responses, and
+ * accepted if every drive that adheres, relative to the others, stays behind its own command.
  *
- * Unknown is an answer: a drive that neither adheres nor is lost for certain has no flag.
+ * Unknown is a valid result: a drive that is not certain to adhere or to be lost has no flag.
  *
- * Nothing here can fail: there is at least one drive, command ratios, the asked one too, are RATIO_FLOOR (loads.c) or more, nothing else divides,
- * and comparisons with NaN are false, each written so that false is the safe answer. */
+ * Nothing here can fail: there is at least one drive, all command ratios are at least RATIO_FLOOR
+ * (loads.c), nothing else divides, and comparisons with NaN are false, the safe answer. */
 #include "gateway/core/switching_loss.h"
 
 #include <math.h>
@@ -18,32 +18,32 @@
 #include "gateway/core/rotors.h"
 
 #define MOST_LOAD 2.0  /* per unit of rated torque; no drive carries more */
-#define SURE      0.99 /* probability of a loss that needs no second look */
-#define GRIPS     0.5  /* probability of adhering that is needed for `Adhering`; */
-#define DOUBTED   0.1  /* of a loss from which on it is not said, unless the flag is bad: */
-                       /* at the end of a loss one is slow, not wrong */
-#define COUNTS 0.5 /* drives that adhere with this probability are asked about all; so is a doubt */
+#define SURE      0.99 /* probability of a loss that needs no confirmation */
+#define GRIPS     0.5  /* least probability of adhering for `Adhering` */
+#define DOUBTED   0.1  /* largest probability of a loss for it, unless the flag is bad: */
+                       /* at the end of a loss the probability is late, not wrong */
+#define COUNTS 0.5 /* least probability of adhering of a drive that counts, and of a loss of them */
 #define ACCUSED 0.7
-/* Common load, per unit of rated torque, from which on the others alone accuse: with less, what each
- * wheel's own friction takes is as large as a loss. */
+/* Common load, per unit of rated torque, from which the comparison alone is evidence of a loss:
+ * with less, the friction of each wheel is as large as a loss. */
 #define ACCUSING_LOAD 0.2
-#define NEAR          0.03 /* creep of a wheel that turns with the others; */
+#define NEAR          0.03 /* creep of a wheel that turns with the others */
 #define STEADY        0.02 /* change of its speed within 0.5 s: no brake slows it */
-#define LITTLE        0.1  /* load, per unit of rated torque, of one that carries nothing */
-/* A drive that follows its own flag changes its torque between two of its `Status`: by so much of the
- * largest command in a second, but not by more than this share of its own. */
+#define LITTLE        0.1  /* load, per unit of rated torque, of a wheel that carries nothing */
+/* A drive that follows its own flag changes its torque between two `Status` frames: by this share
+ * of the largest command per second, but by no more than this share of its own. */
 #define RETURN_PER_S 1.0
 #define RETURN_MOST  0.3
-/* A lost wheel has gripped again once it carries what is asked. What its load lacks after that its
- * drive's own slip control may hold back: for so long at most, and for so long once the load is
- * back. It ends where the wheel slides again. */
+/* A lost wheel has gripped again once it carries what is asked. A load that is still missing after
+ * that may be held back by the drive's own slip control: for HELD_BACK_S at most, and for
+ * LOAD_BACK_S once the load is back. This ends if the wheel slides again. */
 #define HELD_BACK_S 2.0
 #define LOAD_BACK_S 0.1
-#define BACK        0.9  /* probability of adhering with which the load is back */
-#define SLIDES      0.05 /* creep, for the side of the effort; of slow wheels 3 % is noise */
+#define BACK        0.9  /* probability of adhering from which the load is back */
+#define SLIDES      0.05 /* creep in the direction of the effort; 3 % of slow wheels is noise */
 
-/* How far the load of a drive that takes its torque back may be off what its last command says,
- * standard deviation. */
+/* Standard deviation by which the load of a drive that reduces its torque may differ from its last
+ * command. */
 static double command_error(const struct adhesion *a, int k, double load)
 {
     const struct drive_load *mine = &a->loads[k];
@@ -75,7 +75,7 @@ void compare_by_memory(struct adhesion *a)
     if (a->n > 1) {
         switching_tick(s);
     } else {
-        /* One alone is compared with nobody. */
+        /* A single drive is not compared. */
         s->adhering[0] = 1.0;
         s->lost[0] = 0.0;
         s->demand = s->loads[0].load;
@@ -87,7 +87,7 @@ void compare_by_memory(struct adhesion *a)
     a->common = s->demand;
 }
 
-/* Probability that all drives together carry less than they are asked for; 0 where one cannot say. */
+/* Probability that all drives together carry less than they are asked for; 0 if not known. */
 static double all_lost(const struct adhesion *a)
 {
     double least = HUGE_VAL;
@@ -103,8 +103,8 @@ static double all_lost(const struct adhesion *a)
     return least >= COUNTS && least <= 1.0 ? least : 0.0;
 }
 
-/* 1 if a drive adheres and turns with the others: beside it they can be lost. If none does, the demand may
- * be anything; wheels that never turned alike need not carry alike. */
+/* 1 if a drive adheres and turns with the others, so that others can be lost beside it. If none
+ * does, the demand may be anything; wheels that never turned alike need not carry alike. */
 static int any_adheres(const struct adhesion *a)
 {
     for (int k = 0; k < a->n; k++)
@@ -121,8 +121,8 @@ static int any_asked(const struct adhesion *a)
     return 0;
 }
 
-/* 1 if drive k, in a train that is asked for nothing, carries nothing and turns with the others at a
- * speed that stays: it rolls. What slows all of them may be friction brakes, under which all may slide. */
+/* 1 if drive k rolls: the train is asked for nothing, the drive carries nothing and turns with the
+ * others at constant speed. If all slow down, friction brakes may be the cause: all may slide. */
 static int rolls(const struct adhesion *a, int k)
 {
     const struct rotor *r = &a->rotors[k];
@@ -132,7 +132,7 @@ static int rolls(const struct adhesion *a, int k)
     return usable && follows && fabs(change) <= STEADY * slow && fabs(a->loads[k].load) <= LITTLE;
 }
 
-/* 1 if something can be said of drive k at all. */
+/* 1 if drive k can be judged at all. */
 static int is_comparable(const struct adhesion *a, int k, double all, int little)
 {
     const int asked = is_asked(&a->responses[k]);
@@ -140,21 +140,21 @@ static int is_comparable(const struct adhesion *a, int k, double all, int little
     const struct drive_load *mine = &a->loads[k];
     const int behind = mine->response_valid && mine->p_response > COUNTS;
     const int low = !(fabs(a->common_smoothed) >= ACCUSING_LOAD) && !behind;
-    /* Who is asked for nothing has nothing to lose. */
+    /* A drive that is asked for nothing cannot lose anything. */
     if (a->switching->lost[k] >= ACCUSED && (idle || ((little || low) && all == 0.0)))
         return 0;
     return a->known[k] && ((a->loss_known[k] && a->comparable) || asked);
 }
 
-/* Probability of a loss as the flags take it: above `raise_probability`, below
- * `clear_probability`, or UNDECIDED between them. any: a drive adheres. */
+/* Probability of a loss for the flags: above `raise_probability`, below
+ * `clear_probability`, or UNDECIDED in between. any: a drive adheres. */
 static double verdict(const struct adhesion *a, int k, double all, int any, int bad,
                       uint8_t *uncertain)
 {
     const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
     const struct drive_load *mine = &a->loads[k];
     double p = lost + adhering * all;
-    /* A wheel that has run away and stays behind its command, however slowly it came to that. */
+    /* A wheel that has run away and stays behind its command, however slowly that developed. */
     if (a->rotors[k].away && mine->response_valid)
         p = larger(p, mine->p_response);
     const int behind = mine->response_valid && mine->p_response >= a->rules->raise_probability;
@@ -162,7 +162,7 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
         *uncertain = 1;
         return UNDECIDED;
     }
-    /* On their way through zero drives do not follow at quite the same instant. */
+    /* While commands pass through zero, drives do not follow at exactly the same instant. */
     const int passing = is_asked(&a->responses[k]) && !mine->response_valid;
     if (p >= a->rules->raise_probability)
         return passing && !a->rotors[k].away ? UNDECIDED : p;
@@ -173,14 +173,14 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
     return p;
 }
 
-/* 1 if drive k is known again: it may have run away meanwhile, and gripped. */
+/* 1 if drive k has become known again: meanwhile it may have run away and gripped. */
 static int is_known_again(const struct adhesion *a, int k, int bad)
 {
     const int learnt = a->rotors[k].learnt_s >= DIAMETER_ROUGH_S;
     return a->known[k] && a->loads[k].known_since_ns == NO_TIME && learnt && !bad;
 }
 
-/* For how long drive k may be held back by its own slip control. p: its verdict. */
+/* Update the time for which its own slip control may hold back drive k. p: its verdict. */
 static void follow_regrip(struct adhesion *a, int k, double p, int bad)
 {
     double *left_s = &a->loads[k].regripped_s;
@@ -198,8 +198,8 @@ static void follow_regrip(struct adhesion *a, int k, double p, int bad)
         *left_s = larger(0.0, *left_s - times * a->tick_s);
 }
 
-/* The verdict on a drive that may be held back: of one that has come back from a slide the regrip clears the
- * flag; after that nobody knows what the rail would carry. uncertain: that of its rotor alone. */
+/* Verdict on a drive that may be held back. If it has come back from a slide, the regrip clears the
+ * flag; later it is not known what the rail would carry. uncertain: that of its rotor alone. */
 static double held_back(struct adhesion *a, int k, double p, int bad, uint8_t uncertain)
 {
     struct rotor *r = &a->rotors[k];
@@ -229,7 +229,7 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
         follow_regrip(a, k, p, bad);
         p = held_back(a, k, p, bad, uncertain);
         a->loss_known[k] = (uint8_t)is_comparable(a, k, all, little);
-        /* Nor is a drive lost that carries more than it is asked to. */
+        /* A drive that carries more than it is asked for is not lost either. */
         if ((now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {
             p = UNDECIDED;
             r->uncertain = 1;

@@ -1,15 +1,15 @@
-/* From a model with a memory to what the flags are told: the detector `switching`. */
+/* The detector `switching`: from the switching model to the probability that the flags use. */
 #ifndef TRACTION_SWITCHING_LOSS_H
 #define TRACTION_SWITCHING_LOSS_H
 
 #include "gateway/core/records.h"
 
-/* What the detector finds: fills `loss_probability`, `loss_known` and `common`. */
+/* Run the switching model: fills `loss_probability`, `loss_known` and `common`. */
 void compare_by_memory(struct adhesion *a);
 
-/* The same with the answers of all drives to their commands, and what forbids a verdict.
+/* Fuse its results with the command responses of all drives, and with all that forbids a verdict.
  *
- * status: adhesion flags so far; little: 1 where drives carry too little in common to accuse one. */
+ * status: adhesion flags of the last tick; little: 1 if the common load is too small to judge. */
 void judge_by_memory(struct adhesion *a, const struct drive_status *status, int little,
                      int64_t now_ns);
 

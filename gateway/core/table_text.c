@@ -1,7 +1,7 @@
-/* Numbers of many ticks as lines of a table.
+/* Numbers of many ticks written as lines of a table.
  *
- * Each function that writes a part of a line returns the place behind it. None can fail: a row that
- * does not fit is left to the caller. */
+ * Each function that writes a part of a line returns the place after it. None can fail: a row that
+ * has no valid form is left to the caller. */
 #include "gateway/core/table_text.h"
 
 #include <math.h>
@@ -11,7 +11,7 @@ enum { NS_PER_S = 1000000000, MAX_DIGITS = 20 };
 static const double EXACT = 4503599627370496.0; /* 2^52: from there on doubles are whole numbers */
 static const double POWER[] = {1.0, 1e1, 1e2, 1e3, 1e4}; /* of ten, by TABLE_MAX_DECIMALS */
 
-/* A number that is not negative, with at least `count` digits. */
+/* Write a number that is not negative, with at least `count` digits. */
 static uint8_t *write_number(uint8_t *at, uint64_t number, int count)
 {
     uint8_t digits[MAX_DIGITS];
@@ -23,7 +23,7 @@ static uint8_t *write_number(uint8_t *at, uint64_t number, int count)
     return at;
 }
 
-/* Decimals of it behind a point. */
+/* Write a scaled number with its decimals after a point. */
 static uint8_t *write_scaled(uint8_t *at, uint64_t scaled, int decimals)
 {
     const uint64_t one = (uint64_t)POWER[decimals];
@@ -32,8 +32,8 @@ static uint8_t *write_scaled(uint8_t *at, uint64_t scaled, int decimals)
     return write_number(at, scaled % one, decimals);
 }
 
-/* A value in units of its last decimal, rounded to the nearest, half to even: exactly, for what the
- * product has lost is a number of its own. */
+/* A value in units of its last decimal, rounded to the nearest, half to even. Exact, because the
+ * rounding error of the product is itself a double. */
 static uint64_t rounded(double value, int decimals)
 {
     const double scaled = value * POWER[decimals], below = floor(scaled);

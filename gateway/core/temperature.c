@@ -1,29 +1,29 @@
-/* Validity of temperature sensors: lost, stuck or off, alone or with all of their drive.
+/* Validity of temperature sensors: lost, stuck or off, alone or with all others of their drive.
  *
- * No motor jumps: what changes by more than a step's limit within a reading and stays is the sensor's.
- * Nothing here knows what the temperatures mean.
+ * No motor temperature jumps: a change of more than a step's limit within a reading that persists
+ * is due to the sensor. Nothing here depends on what the temperatures mean.
  *
- * Nothing here can fail: a period is above 0, time only goes on, so that differences of stamps fit,
- * and the readings that passed between two values are those of FORGET_NS at most. */
+ * Nothing here can fail: a period is above 0, time only advances, so that differences of stamps
+ * fit, and the readings between two values are those of FORGET_NS at most. */
 #include "gateway/core/temperature.h"
 
 #include <math.h>
 
 #define MS_NS 1000000LL
 
-static const int64_t LOST_NS = 500 * MS_NS; /* without a valid value; real ones drop for a moment */
-/* After longer without a valid value the motor may have changed by more than a step's limit. */
+static const int64_t LOST_NS = 500 * MS_NS; /* without a valid value; real ones can fail briefly */
+/* After a longer time without a valid value the motor may have changed by more than a step. */
 static const int64_t FORGET_NS = 10000 * MS_NS;
-static const int STEP_READINGS = 3; /* beyond the limit, before it is a step */
-/* Share of a step that has to come from one reading to the next. What comes in smaller portions is
- * heat's: a small motor's winding may warm by kelvins within a second. */
+static const int STEP_READINGS = 3; /* consecutive readings beyond the limit that make a step */
+/* Share of a step that has to occur between two readings. A change in smaller portions is
+ * heat: a small motor's winding may warm by kelvins within a second. */
 static const double SUDDEN = 0.4;
-static const double QUICKEST_K = 20.0; /* from one reading to the next: no motor is so quick */
+static const double QUICKEST_K = 20.0; /* between two readings: no motor is so quick */
 static const double MOST_C = 300.0;    /* degC, the signal's maximum: a motor may be hotter */
 static const double LEAST_C = -50.0;   /* degC; no train runs in such cold (EN 50125-1: -40) */
-/* Limits of a step; a sensor that was further below the maximum has jumped there. */
+/* Limits of a step; a sensor that was further below the maximum has jumped to it. */
 static const double MOST_STEPS = 5.0;
-static const double FOLLOW = 0.2;       /* share that averages take of a new value */
+static const double FOLLOW = 0.2;       /* weight of a new value in averages */
 static const int64_t SAME_READINGS = 2; /* faults within so many readings have a common cause */
 static const int64_t STALE_CYCLES = 3;  /* a drive that is silent for longer has no stuck sensor */
 
@@ -51,13 +51,13 @@ void temperature_add_reading(struct temperature_drive *drive, int64_t t_ns)
     drive->readings += 1;
 }
 
-/* What a new value is beside those before it. */
+/* A new value relative to those before it. */
 struct change {
     int again;       /* 1: the first value, or the first after a long time */
     double step_k;   /* K, from the level */
     double change_k; /* K, from the last value */
-    double readings; /* that passed since, at least 1 */
-    double sudden_k; /* K, of the change, beside the slope as well */
+    double readings; /* number of readings since that value, at least 1 */
+    double sudden_k; /* K, of the change, relative to the slope as well */
 };
 
 static struct change change_of(const struct temperature_drive *drive,
@@ -65,7 +65,7 @@ static struct change change_of(const struct temperature_drive *drive,
 {
     struct change out = {.readings = 1.0};
     out.again = s->valid_ns == NO_TIME || t_ns - s->valid_ns > FORGET_NS;
-    /* An offset once found stays: silence does not clear it. */
+    /* An offset that was found stays: silence does not clear it. */
     const double level = out.again && s->bias_k == 0.0 ? value_c : s->level_c;
     out.step_k = value_c - level - s->bias_k;
     if (!out.again) {
@@ -79,7 +79,7 @@ static struct change change_of(const struct temperature_drive *drive,
     return out;
 }
 
-/* STEP_READINGS in a row were beyond the limit: the sensor's step, or, not sudden, heat. */
+/* STEP_READINGS in a row were beyond the limit: a step of the sensor; heat if it is not sudden. */
 static void end_step(const struct temperature_drive *drive, struct temperature_sensor *s,
                      double step_k)
 {
@@ -95,8 +95,8 @@ static void end_step(const struct temperature_drive *drive, struct temperature_s
     s->step_k = 0.0;
 }
 
-/* No motor is so cold, and one that is hotter than the signal's maximum has been seen to warm up: an
- * open or a shorted sensor, from the start on. */
+/* No motor is so cold, and one hotter than the signal's maximum would have been seen to warm up: an
+ * open or a shorted sensor, from the start. */
 static void note_impossible(const struct temperature_drive *drive, struct temperature_sensor *s,
                             int again, double value_c)
 {
@@ -157,8 +157,8 @@ int temperature_sensor_fault(const struct temperature_drive *drive, int k, int64
     return s->bias_k != 0.0 || s->impossible ? FAULT_SENSOR_BIAS : FAULT_NONE;
 }
 
-/* FAULT_SENSOR_BIAS or FAULT_SENSOR_LOST where all sensors of the drive, at least two, are since the
- * same moment; FAULT_NONE else. */
+/* FAULT_SENSOR_BIAS or FAULT_SENSOR_LOST if all sensors of the drive, at least two, have it since
+ * the same moment; else FAULT_NONE. */
 static int common_fault(const struct temperature_drive *drive, int64_t now_ns)
 {
     int count = 0, fault = FAULT_NONE;
@@ -180,7 +180,7 @@ static int common_fault(const struct temperature_drive *drive, int64_t now_ns)
     return count > 1 && shared && last - first <= SAME_READINGS ? fault : FAULT_NONE;
 }
 
-/* Index of the first sensor with a fault; THERMAL_POINTS: none. */
+/* Index of the first sensor with a fault; THERMAL_POINTS: none has one. */
 static int first_faulty(const struct temperature_drive *drive, int64_t now_ns)
 {
     int k = 0;

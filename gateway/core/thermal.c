@@ -1,7 +1,7 @@
-/* Temperatures of the motors, tick by tick: readings, seconds, window averages, and evidence.
+/* Temperatures of the motors in each tick: readings, seconds, window averages, and evidence.
  *
- * Nothing here can fail: drives, channels and columns come from constant tables, what is divided by
- * is a count above 0 or the cycle of the readings, which is above 0, and time only goes on. */
+ * Nothing here can fail: drives, channels and columns come from constant tables, divisors are
+ * a count above 0 or the cycle of the readings, which is above 0, and time only advances. */
 #include "gateway/core/thermal.h"
 
 #include <math.h>
@@ -17,8 +17,8 @@
 enum { P = THERMAL_POINTS };
 enum { AMBIENT_POINT = P }; /* gateway/core/channel.py: the sensors' columns, then this one */
 
-static const double MOST_TENTHS = 1e15; /* a value beyond it, tenths of a degree, has no number */
-static const double FAR_K = 40.0; /* K above the others: no motor begins so, next to sound ones */
+static const double MOST_TENTHS = 1e15; /* a larger value, tenths of a degree, is not converted */
+static const double FAR_K = 40.0; /* K above the others: no motor beside sound ones starts there */
 
 /* ---- readings */
 
@@ -28,7 +28,7 @@ static int is_usable(const struct channel *channel, const double *value)
     return quality < 0 || value[quality] == 1.0 || value[quality] == 2.0; /* Valid, Degraded */
 }
 
-/* A value in tenths of a degree, as it was received. */
+/* A value in tenths of a degree, as received; -1 if it is too large. */
 static int64_t tenths_of(double value_c)
 {
     const double tenths = value_c * 10.0;
@@ -45,7 +45,7 @@ double reading_c(const struct receiver *receiver, int64_t row, int point)
     return valid && is_usable(channel, value) ? value[column] : NAN;
 }
 
-/* One decoded row of temperatures. Each point by itself: one dead sensor must not silence others. */
+/* Receive one decoded row of temperatures. Each point by itself: a dead sensor stops no other. */
 static void receive_reading(struct temperature_monitor *all, const struct receiver *receiver,
                             int64_t row)
 {
@@ -76,7 +76,7 @@ static void add_quantity(struct motor_temperatures *motor, int quantity, double 
     motor->number[quantity] += 1.0;
 }
 
-/* Current and speed of drive j, where they are known and fresh. */
+/* Add current and speed of drive j, if they are known and fresh. */
 static void add_load(struct motor_temperatures *motor, const struct receiver *receiver, int j,
                      int64_t now_ns)
 {
@@ -89,7 +89,7 @@ static void add_load(struct motor_temperatures *motor, const struct receiver *re
         add_quantity(motor, THERMAL_SPEED, fabs(in->speed));
 }
 
-/* Means of a second that is complete; the next one starts. */
+/* Form the means of a second that is complete; the next one starts. */
 static void close_second(struct motor_temperatures *motor)
 {
     for (int k = 0; k < THERMAL_QUANTITIES; k++) {
@@ -99,7 +99,7 @@ static void close_second(struct motor_temperatures *motor)
     }
 }
 
-/* One temperature cycle of a second: 1 if it is the last one, and the means are those of it. */
+/* Add one temperature cycle to the second: 1 if it was the last one, and the means are formed. */
 static int add_cycle(struct temperature_monitor *all, const struct receiver *receiver,
                      int64_t now_ns)
 {
@@ -128,7 +128,7 @@ static int add_cycle(struct temperature_monitor *all, const struct receiver *rec
 
 /* ---- window averages */
 
-/* What two ways of centring agree on: the smaller deviation, none where they differ in sign. */
+/* Deviation that two ways of centring agree on: the smaller one, 0 if they differ in sign. */
 static double smaller_deviation(double a, double b)
 {
     if ((a > 0.0) != (b > 0.0))
@@ -136,15 +136,15 @@ static double smaller_deviation(double a, double b)
     return fabs(b) < fabs(a) ? b : a;
 }
 
-/* How motors differ in health is their place's and their cooling's, and takes hours to come. After a
- * hot restart, or a night, motors are as warm as each other, and their readings are equal. A sound motor
- * is anywhere in between. */
+/* Differences of healthy motors come from their places and their cooling, and take hours to
+ * develop. After a hot restart, or a night, motors are equally warm, and their readings are equal.
+ * A sound motor is anywhere in between. */
 static void compare_motors(struct temperature_window *w, int drives)
 {
     maisd_compare(w->mean, w->known, drives, P, w->ranked, w->spread, w->uniform);
     for (int c = 0; c < drives * P; c++) {
         const double apart = w->mean[c] - w->offset_k[c];
-        /* A sensor that stood still while the fleet was learnt from has gain 0. */
+        /* A sensor that did not change while the fleet was learnt has gain 0. */
         w->centred[c] = w->gain[c] != 0.0 ? apart / w->gain[c] : apart * INFINITY;
     }
     maisd_compare(w->centred, w->known, drives, P, w->ranked, w->spread, w->deviation);
@@ -152,7 +152,7 @@ static void compare_motors(struct temperature_window *w, int drives)
         w->deviation[c] = smaller_deviation(w->deviation[c], w->uniform[c]);
 }
 
-/* MAISD of the window with the newest values in it. */
+/* Compute MAISD of the window, with the newest values in it. */
 static void advance_window(struct temperature_window *w, int drives, int64_t cycle)
 {
     const int cells = drives * P;
@@ -163,7 +163,7 @@ static void advance_window(struct temperature_window *w, int drives, int64_t cyc
     compare_motors(w, drives);
 }
 
-/* A sensor that has been near the others' is a motor's: what it rises to later is heat. */
+/* A sensor that has been near the others' measures a motor: a later rise is heat. */
 static void note_near(struct temperature_monitor *all)
 {
     struct temperature_window *w = &all->window;
@@ -180,7 +180,7 @@ static void note_near(struct temperature_monitor *all)
 
 /* ---- one tick */
 
-/* 1 if a temperature cycle is due; if so, when the next one is. */
+/* 1 if a temperature cycle is due; then sets the time of the next one. */
 static int cycle_due(struct temperature_monitor *all, int64_t now_ns)
 {
     const int64_t due = all->next_ns;
@@ -190,8 +190,8 @@ static int cycle_due(struct temperature_monitor *all, int64_t now_ns)
     return 1;
 }
 
-/* What changes by a step is the sensor's, or heat: until that is known, in STEP_READINGS
- * (temperature.c), the averages go without. One reading of -100 K would make all others hot. */
+/* A step may come from the sensor or from heat: until that is known, after STEP_READINGS
+ * (temperature.c), the averages omit it. One reading of -100 K would make all others hot. */
 static void hold_back_steps(struct temperature_monitor *all)
 {
     for (int j = 0; j < all->drive_count; j++)
@@ -200,7 +200,7 @@ static void hold_back_steps(struct temperature_monitor *all)
                 all->window.value[j * P + k] = NAN;
 }
 
-/* 1 if it completed a second. */
+/* Advance by one temperature cycle; 1 if it completed a second. */
 static int advance_cycle(struct temperature_monitor *all, const struct receiver *receiver,
                          int64_t now_ns)
 {
@@ -267,7 +267,7 @@ int64_t report_motor(struct temperature_monitor *all, int j, int64_t now_ns,
     }
     if (now_ns >= motor->valid_until_ns) {
         judge_temperatures(all, j, now_ns, &motor->evidence);
-        /* Nothing here changes faster than the temperatures come. */
+        /* Nothing here changes faster than the temperatures are received. */
         motor->valid_until_ns = now_ns + all->period_ns;
     }
     fill_evidence(&motor->evidence, out);

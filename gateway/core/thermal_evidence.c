@@ -1,7 +1,7 @@
-/* Evidence of one motor's temperatures: of its sensors (temperature.c), and by its thermal model
- * (estimators/thermal/monitor.c) or by how it differs from the others (estimators/maisd.c).
+/* Evidence from one motor's temperatures: of its sensors (temperature.c), and by its thermal model
+ * (estimators/thermal/monitor.c) or by comparison with the others (estimators/maisd.c).
  *
- * Nothing here can fail: what is divided by is a count above 0, kinds of faults are below
+ * Nothing here can fail: divisors are counts above 0, kinds of faults are below
  * THERMAL_KINDS, and a comparison with NaN is false, which raises nothing. */
 #include "gateway/core/thermal_evidence.h"
 
@@ -14,10 +14,10 @@
 
 enum { P = THERMAL_POINTS };
 
-static const double LIKELY = 0.5; /* probability of a fault from which a motor is not called good */
-static const double BLIND_S = 5.0; /* s without current, speed or ambient: nothing is known of it */
+static const double LIKELY = 0.5;  /* probability of a fault from which a motor is not good */
+static const double BLIND_S = 5.0; /* s without current, speed or ambient: the motor is unknown */
 
-/* Of the kinds of heat, in the order of estimators/thermal/hypotheses.py. */
+/* Fault class of each heat fault, in the order of estimators/thermal/hypotheses.py. */
 static const uint8_t HEAT_CLASS[IMM_HEATS] = {FAULT_OVERHEATING, FAULT_COOLING_LOSS, FAULT_BEARING,
                                               FAULT_BEARING, FAULT_WINDING_RESISTANCE};
 
@@ -29,7 +29,7 @@ struct thermal_evidence no_evidence(uint8_t reason)
 
 /* ---- by the thermal model */
 
-/* A step of any of a motor's sensors is a jump. */
+/* Count a jump if any sensor of a motor has stepped. */
 static void count_jumps(const struct thermal_motor *model, struct motor_temperatures *motor)
 {
     int jumped = 0;
@@ -40,8 +40,8 @@ static void count_jumps(const struct thermal_motor *model, struct motor_temperat
     motor->jumps += jumped;
 }
 
-/* Mean deviation of a motor's block from the other motors; NaN without one. What a fault does is no
- * degradation. */
+/* Mean deviation of a motor's block from the other motors; NaN if there is none. The effect of a
+ * fault is not degradation. */
 static double block_deviation(const struct thermal_motor *model)
 {
     double total = 0.0;
@@ -91,7 +91,7 @@ static int has_finding(const struct thermal_motor *model)
     return found;
 }
 
-/* Kind with the largest probability of kinds first to last - 1. */
+/* Kind with the largest probability among kinds `first` to `last` - 1. */
 static int likeliest(const double *kind, int first, int last)
 {
     int most = first;
@@ -101,21 +101,21 @@ static int likeliest(const double *kind, int first, int last)
     return most;
 }
 
-/* What is wrong with a motor of which something is. */
+/* Name the fault of a motor that has one. */
 static void name_finding(const struct thermal_motor *model, double named,
                          struct thermal_evidence *out)
 {
     double kind[THERMAL_KINDS];
     thermal_kinds(model, 1, kind);
     const int side = thermal_side(kind, named);
-    if (side == 0) { /* a hot motor as well as a sensor that is off */
+    if (side == 0) { /* a hot motor is as likely as a sensor that is off */
         out->sensor = FLAG_UNKNOWN;
         out->reason = REASON_DIVERGED;
     } else if (side > 0) {
         out->thermal = FLAG_BAD;
         out->reason = REASON_NONE;
         out->fault_class = HEAT_CLASS[likeliest(kind, 0, IMM_HEATS)];
-    } else { /* a loose connector is a sensor that is off at times */
+    } else { /* a loose connector is a sensor that is sometimes off */
         const int c = likeliest(kind, IMM_HEATS, THERMAL_KINDS);
         out->sensor = FLAG_BAD;
         out->reason = REASON_NOT_AVAILABLE;
@@ -139,7 +139,7 @@ static void judge_by_model(const struct temperature_monitor *all, int j,
     } else if (has_finding(model)) {
         name_finding(model, all->named, out);
     } else if (model->fault_probability > LIKELY) {
-        /* What follows the model no longer is not good, although no cause is certain yet. */
+        /* A motor that no longer follows its model is not good, even if no cause is certain yet. */
         out->reason = REASON_DIVERGED;
     } else {
         out->thermal = FLAG_GOOD;
@@ -148,9 +148,9 @@ static void judge_by_model(const struct temperature_monitor *all, int j,
     }
 }
 
-/* ---- by how motors differ */
+/* ---- by comparison of the motors */
 
-/* Which points are hot, a bit each: MAISD says that the fleet differs, the deviation which motor. */
+/* Hot points, one bit each: MAISD shows that the fleet differs, the deviation which motor. */
 static unsigned hot_points(const struct temperature_window *window, int j)
 {
     unsigned hot = 0;
@@ -161,8 +161,8 @@ static unsigned hot_points(const struct temperature_window *window, int j)
     return hot;
 }
 
-/* 1 if point k of motor j, and of another motor, have given two values: what has stood still since the
- * start may be no sensor at all, and is called stuck later. */
+/* 1 if point k of motor j, and of another motor, have shown two values: a point that has not
+ * changed since the start may be no sensor at all, and is reported as stuck later. */
 static int has_moved(const struct temperature_monitor *all, int j, int k)
 {
     int others = 0;
@@ -171,8 +171,8 @@ static int has_moved(const struct temperature_monitor *all, int j, int k)
     return all->sensors[j].sensor[k].moved && others > 0;
 }
 
-/* 1 if a point of motor j began far above the others', and no other point of the motor is hot: heat
- * spreads within a motor, a sensor's offset does not. */
+/* 1 if a point of motor j started far above the others', and no other point of the motor is hot:
+ * heat spreads within a motor, an offset of a sensor does not. */
 static int may_be_a_sensor(const struct temperature_monitor *all, int j, unsigned hot)
 {
     for (int k = 0; k < P; k++)

@@ -1,18 +1,18 @@
-/* Evidence of one motor's temperatures: of its sensors, and by its thermal model or MAISD. */
+/* Evidence from one motor's temperatures: of its sensors, and by its thermal model or MAISD. */
 #ifndef TRACTION_THERMAL_EVIDENCE_H
 #define TRACTION_THERMAL_EVIDENCE_H
 
 #include "gateway/core/records.h"
 
-/* Nothing is known, for this enum reason. */
+/* Evidence if nothing is known, for this enum reason. */
 struct thermal_evidence no_evidence(uint8_t reason);
 
-/* Judge motor j. Two questions are kept apart, so that a dead sensor is never a hot motor: is each
- * sensor valid, and, if all are, what is wrong with the motor. */
+/* Judge motor j. Two questions are kept apart, so that a dead sensor never makes a motor hot: is
+ * each sensor valid, and, if all are, what is wrong with the motor. */
 void judge_temperatures(const struct temperature_monitor *all, int j, int64_t now_ns,
                         struct thermal_evidence *out);
 
-/* The second that is complete through the thermal model: its monitor, steps and trends. */
+/* Feed a complete second to the thermal model: its monitor, steps and trends. */
 void add_thermal_second(struct temperature_monitor *all);
 
 #endif

@@ -1,7 +1,7 @@
-/* Temperatures without the rest of a tick: a record of slow messages costs what its frames cost.
+/* Temperatures without the rest of a tick, so that a log of slow messages is read quickly.
  *
- * Nothing here can fail: the caller has made room for the frames of a tick, and a cycle is noted only
- * where there is room. */
+ * Nothing here can fail: the caller has made room for the frames of a tick, and a cycle is logged
+ * only if there is room. */
 #include "gateway/core/thermal_log.h"
 
 #include "gateway/core/receive.h"
@@ -9,7 +9,7 @@
 
 enum { P = THERMAL_POINTS };
 
-/* Motor j into its cell: row * motors + j. */
+/* Log motor j in its cell: row * motors + j. */
 static void note_motor(struct temperature_log *log, const struct temperature_monitor *all, int j,
                        int64_t cell, int64_t now_ns)
 {

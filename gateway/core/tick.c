@@ -1,8 +1,8 @@
 /* One period: the order of everything that happens in it, and nothing else.
  *
- * A live tick, a replay of a log and a simulation all come here: `run` with one tick or with many.
- * Nothing here can fail: every station bounds its own numbers and indices, and `run` looks for room
- * before a tick begins. */
+ * A live tick, a replay of a log and a simulation all use this: `run` with one tick or with many.
+ * Nothing here can fail: every station bounds its own numbers and indices, and `run` checks for
+ * room before a tick begins. */
 #include "gateway/core/tick.h"
 
 #include <math.h>
@@ -26,7 +26,7 @@ struct frame_range {
     int64_t first, count;
 };
 
-/* 1; or 0, and nothing is done, for frames in another order. */
+/* Receive the frames of a tick. Returns 1; or 0, with nothing done, for frames in another order. */
 static int receive(struct gateway *g, const struct frame_columns *all, struct frame_range rows,
                    int64_t now_ns)
 {
@@ -46,7 +46,7 @@ static void check_heartbeats(struct gateway *g, int64_t now_ns)
         g->inputs[k].heartbeat_lost = (uint8_t)is_node_lost(g->receiver->supervision, k, now_ns);
 }
 
-/* What the stations have found, as evidence is collected from it. */
+/* Copy the results of the stations to where evidence is collected from. */
 static void gather(struct gateway *g)
 {
     const struct adhesion *adhesion = g->adhesion;
@@ -83,7 +83,7 @@ static void update_flags(struct gateway *g, int64_t now_ns)
     publish(g->train_inputs, g->flag_inputs, g->evidence, n, now_ns, g->status, g->train);
     estimate_creep(g->adhesion, g->status);
     for (int32_t k = 0; k < n; k++)
-        g->peak[k] = fmax(g->peak[k], g->status[k].loss_probability); /* passes over NaN */
+        g->peak[k] = fmax(g->peak[k], g->status[k].loss_probability); /* ignores NaN */
 }
 
 static void send(struct gateway *g, int64_t now_ns)
@@ -111,7 +111,7 @@ void finish_tick(struct gateway *g, int64_t now_ns)
     g->stage = STAGE_RECEIVE;
 }
 
-/* 1 if the tick has begun: it is done, or stopped at a stage. 0: nothing is done. */
+/* 1 if the tick has begun: it is complete, or stopped at a stage. 0: nothing was done. */
 static int tick(struct gateway *g, const struct frame_columns *frames, struct frame_range rows,
                 int64_t now_ns)
 {

@@ -1,6 +1,6 @@
-/* Ticks as a report keeps them: what is sent, and beside it what no frame has.
+/* Log of ticks for a report: what is sent, and additional data that no frame contains.
  *
- * Nothing here can fail: a full log takes no tick. */
+ * Nothing here can fail: a full log accepts no tick. */
 #include "gateway/core/tick_log.h"
 
 #include <math.h>
@@ -9,7 +9,7 @@
 #include "gateway/core/busload.h"
 #include "gateway/core/thermal.h"
 
-/* How drive j grows warmer than the others, while its temperatures are fresh. */
+/* Log the degradation of drive j relative to the others, while its temperatures are fresh. */
 static void log_degradation(const struct temperature_monitor *all, int j, double limit_k,
                             struct drive_row *out)
 {

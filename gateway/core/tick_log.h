@@ -1,13 +1,13 @@
-/* Ticks as a report keeps them, one row each. */
+/* Log of ticks for a report, one row each. */
 #ifndef TRACTION_TICK_LOG_H
 #define TRACTION_TICK_LOG_H
 
 #include "gateway/core/records.h"
 
-/* 1: there is a log, and it has no room for a tick. */
+/* 1 if there is a log that has no room for another tick. */
 int is_log_full(const struct tick_log *log);
 
-/* The tick that has just ended, at now_ns, into a log; nothing where there is none, or it is full. */
+/* Log the tick that has just ended, at now_ns; does nothing if there is no log, or it is full. */
 void log_tick(const struct gateway *g, struct tick_log *log, int64_t now_ns);
 
 #endif

@@ -1,10 +1,10 @@
-/* The train as all its rotors and commands show it together, before any drive is judged.
+/* The train, as all its rotors and commands together show it, before any drive is judged.
  *
  * - Speeds: rotors.c.
- * - Loads: one that slides, or carries more than its command and than the others, is no measure for
- *   those that hold.
- * - Commands: a load that no command asks for, and a command far from all others' beside a load that
- *   is not, are errors of the `Status` message: no loss follows from them, and no health.
+ * - Loads: a drive that slides, or carries more than its command and than the others, is no measure
+ *   for drives that adhere.
+ * - Commands: a load that no command explains, and a command far from all others although its load
+ *   is not, are errors of the `Status` message: neither a loss nor health is derived from them.
  * - State: a drive that is not in operation is not judged.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
@@ -17,18 +17,18 @@
 #include "estimators/numbers.h"
 #include "gateway/core/rotors.h"
 
-/* A rotor that is apart and carries more than the others for so long slides under its load; one that
- * loses or finds its grip is sooner through. */
+/* A rotor that is apart and carries more than the others for this time slides under its load; one
+ * that loses or regains its grip passes through this state sooner. */
 #define SLIDES_S 0.2
-#define GRIPS   0.1 /* per unit of rated torque that one which has run away carries more: at once */
+#define GRIPS   0.1 /* additional load, per unit of rated torque, if a lost rotor grips: no delay */
 #define AGAINST 0.25 /* share of the others' load carried against them: it turns backwards */
-/* A load beyond the command, per unit of rated torque and of the command, that no motor data off
- * their sheet explain; for so long: a command is up to 0.1 s old, and a drive follows it by a ramp. */
+/* Load beyond the command, per unit of rated torque and of the command, that wrong motor data
+ * cannot explain; for this time: a command is up to 0.1 s old, and a drive follows it by a ramp. */
 #define UNCOMMANDED          0.12
 #define UNCOMMANDED_RELATIVE 0.15
 #define COMMAND_LATE_S       0.3
-/* A command is odd beyond this factor from the median of the others and 0.1 of rated torque, while
- * its load is near to theirs: relative, per unit of rated torque. */
+/* A command is odd if it differs from the others' median by more than this factor and 0.1 of rated
+ * torque, while its load is near theirs: relative, per unit of rated torque. */
 #define FACTOR          2.0
 #define FACTOR_FLOOR    0.1
 #define LOAD_NEAR       0.25
@@ -36,20 +36,20 @@
 #define ODD_S           0.15
 #define MOST_COMMAND    3.0 /* per unit of rated torque; no drive delivers more */
 
-/* Median load of the other drives, per unit; NaN without any. */
+/* Median load of the other drives, per unit; NaN if there are none. */
 static double others_load(const struct train_tick *t, int k)
 {
     return median_of_others(&t->loads, t->rotor[k].load, 0);
 }
 
-/* 1 if the load of drive k is near the median of the others; 0 without any. */
+/* 1 if the load of drive k is near the median of the others; 0 if there are none. */
 static int is_like_others(const struct train_tick *t, int k)
 {
     const double load = others_load(t, k);
     return fabs(t->rotor[k].load - load) <= LOAD_NEAR * fabs(load) + LOAD_NEAR_FLOOR;
 }
 
-/* 1 if a drive has carried what it was not asked for, for too long. */
+/* 1 if a drive has carried a load that its command does not explain, for too long. */
 static int is_uncommanded(const struct train_tick *t, struct rotor *r,
                           const struct rotor_inputs *in)
 {
@@ -62,8 +62,8 @@ static int is_uncommanded(const struct train_tick *t, struct rotor *r,
     return r->uncommanded_s > COMMAND_LATE_S;
 }
 
-/* 1 if a wheel slides under its load, or turns backwards: no measure for those that hold. But a lost
- * one that carries more is one that grips again. */
+/* 1 if a wheel slides under its load, or turns backwards: no measure for wheels that adhere. But a
+ * lost wheel that carries more is regaining its grip. */
 static int slides(const struct train_tick *t, int k)
 {
     struct rotor *r = &t->rotor[k];
@@ -81,7 +81,7 @@ static double relative_command(const struct train_tick *t, int k)
     return fabs(t->in[k].command_nm) / t->rotor[k].rated_nm;
 }
 
-/* 1 if the command of drive k, a valid one, is far from the others' although its load is like theirs. */
+/* 1 if the command of drive k, a valid one, is far from the others' although its load is not. */
 static int is_odd_command(const struct train_tick *t, int k)
 {
     struct rotor *r = &t->rotor[k];
@@ -99,7 +99,7 @@ static void do_not_judge(struct rotor_inputs *in, uint8_t health, uint8_t reason
     in->health_reason = reason;
 }
 
-/* Which loads have no command that explains them. */
+/* Find loads that no command explains. */
 static void assess_loads(struct train_tick *t)
 {
     t->loads = (struct ranking){.numbers = t->workspace};
@@ -122,7 +122,7 @@ static void assess_loads(struct train_tick *t)
     }
 }
 
-/* Which commands cannot be right; all are compared before any is dropped. */
+/* Find commands that cannot be right; all are compared before any is dropped. */
 static void assess_commands(struct train_tick *t)
 {
     t->commands = (struct ranking){.numbers = t->workspace + t->n};

@@ -1,14 +1,14 @@
-/* The speed of the train, which no message carries: a bound of it, by the rotors of the last seconds.
+/* Reference speed of the train, which no message carries: a bound, by the rotors of recent seconds.
  *
- * No train changes its speed faster than by MOST_ACCELERATION, and on a bad rail by no more than its
- * motors explain: one that other axles slow harder is `Unknown` then. No wheel that brakes turns faster
- * than its train, none that pulls slower. So the rotor that leads, the fastest in braking, the slowest in
- * traction, is followed at that rate at most: wheels that slide all at once leave this speed behind,
- * whatever their loads answer to their commands. Where the bound has run behind the train it
- * returns CATCH_UP times as fast.
+ * No train changes its speed faster than by MOST_ACCELERATION, and on a bad rail by no more than
+ * its motors explain: if other axles brake it harder, the flag is `Unknown`. No braking wheel turns
+ * faster than its train, no driving wheel slower. So the leading rotor, the fastest in braking, the
+ * slowest in traction, is followed at this rate at most: wheels that all slide at once leave this
+ * speed, however their loads respond to their commands. If the bound has fallen behind the train,
+ * it returns CATCH_UP times as fast.
  *
- * Off the bound by MOST_SLIP a wheel is not adhering. Off by SLIDING_SLIP even from a bound that moves
- * HARDER times as fast, never slower than MOST_ACCELERATION, and by a change of its own speed, it is lost.
+ * A wheel off the bound by MOST_SLIP does not adhere. It is lost if it is off by SLIDING_SLIP even
+ * from a bound HARDER times as fast (at least MOST_ACCELERATION), and its own speed has changed.
  *
  * The term of the field is reference speed. Not in paper `adhesion`. Nothing here can fail: the
  * divisor is an inertia, which is configured, or a speed of at least LEAST_SPEED; comparisons with NaN
@@ -21,31 +21,31 @@
 
 #define CATCH_UP     4.0
 #define HARDER       2.0
-#define UNSEEN_S     1.0  /* without a rotor that is tracked for longer nothing is known any more */
-#define MOST_SLIP    0.06 /* of wheels that adhere, one or two percent of creep of each included, */
-#define SLIP_OF_TWO  0.08 /* of two drives, where the reference has the noise of one */
-#define MOST_DIFFERENCE 0.1 /* and of diameters of which too little has been learnt */
-/* On a bad rail a train changes its speed by a hill and by its motors: a share of their mean load. */
+#define UNSEEN_S     1.0    /* after longer without a tracked rotor, nothing is known */
+#define MOST_SLIP    0.06   /* slip of adhering wheels, one or two percent of creep each included */
+#define SLIP_OF_TWO  0.08   /* the same for two drives: the reference has the noise of one */
+#define MOST_DIFFERENCE 0.1 /* the same while too little has been learnt of the diameters */
+/* On a bad rail a train changes its speed by hills and by a share of its motors' mean load. */
 #define HILL         0.02
 #define ROTATING     0.15
-#define AHEAD_S      0.05 /* a lost wheel that is caught passes the train by for less, */
+#define AHEAD_S      0.05 /* a lost wheel that is caught is ahead of the train for less, */
 #define CARRIES      0.5  /* or carries less, as a share of the mean load */
-#define SLIDING_SLIP 0.2  /* no creep at which a wheel carries more than it would with less */
+#define SLIDING_SLIP 0.2  /* larger than any creep at which less slip would carry less */
 
-/* 1 if drive k shows how fast the train is: it adheres; or it has been ahead of the bound, and carries, for
- * too long to be a lost one that is caught and passes the train by. */
+/* 1 if drive k shows the speed of the train: it adheres; or it has been ahead of the bound under
+ * load for too long to be a lost wheel that is caught and passes the train's speed. */
 static int is_measure(const struct train_tick *t, int k)
 {
     return t->in[k].adhesion == FLAG_GOOD || t->rotor[k].ahead_s > AHEAD_S;
 }
 
-/* The fastest rotor in braking, the slowest in traction, of those that are tracked: of such as are a
- * measure if there are any; NaN without any. One that carries against the others (it may turn the other
- * way) is no bound. */
+/* The fastest rotor in braking, the slowest in traction, of those that are tracked; only of those
+ * that are a measure, if there are any; NaN if none is tracked. A rotor that carries against the
+ * others (it may turn backwards) is no bound. */
 static double leading_speed(const struct train_tick *t, int first)
 {
     double lead = NAN;
-    int adheres = 0; /* the one that leads so far */
+    int adheres = 0; /* 1 if the leading rotor so far is a measure */
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         const struct rotor *r = &t->rotor[k];
         const int good = is_measure(t, k);
@@ -60,7 +60,7 @@ static double leading_speed(const struct train_tick *t, int first)
     return lead;
 }
 
-/* A bound after a tick in which the train's speed may change by `most`. */
+/* The bound after a tick in which the speed of the train may change by `most`. */
 static double follow_lead(double bound, double lead, double most, int braking)
 {
     if (isnan(bound) || isnan(lead))
@@ -70,7 +70,7 @@ static double follow_lead(double bound, double lead, double most, int braking)
     return clamp(lead, bound - down, bound + up);
 }
 
-/* 1 if the rail is bad under any of them. One that is cut out keeps its flag, and shows no rail. */
+/* 1 if the rail is bad under any rotor. A drive that is cut out keeps its flag; it is left out. */
 static int is_bad_rail(const struct train_tick *t, int first)
 {
     for (int k = first; k < t->n; k = next_alike(t, k))
@@ -79,13 +79,13 @@ static int is_bad_rail(const struct train_tick *t, int first)
     return 0;
 }
 
-/* What a torque, per unit of the rated one, changes a rotor's speed by in a tick. */
+/* Change of a rotor's speed in a tick by a torque, per unit of the rated one. */
 static double change_in_tick(const struct train_tick *t, const struct rotor *r, double share)
 {
     return share * r->rated_nm / r->inertia_kg_m2 * t->tick_s;
 }
 
-/* Both bounds of this tick, in the record of the first rotor. */
+/* Follow both bounds of this tick, in the record of the first rotor. */
 static void follow_train(struct train_tick *t, int first)
 {
     struct rotor *train = &t->rotor[first];

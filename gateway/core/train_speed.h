@@ -1,14 +1,14 @@
-/* What the speed of the train can be at all, by the rotors of the last seconds. */
+/* Bounds of the speed of the train, from the rotors of the last seconds. */
 #ifndef TRACTION_TRAIN_SPEED_H
 #define TRACTION_TRAIN_SPEED_H
 
 #include "gateway/core/rotors.h"
 
-/* Follows the speed of the train as the rotors with the motor of rotor `first` show it, and writes
- * slip and `sliding_s` of each. Once a tick, with speeds free of their diameters. */
+/* Follow the speed of the train as the rotors with the motor of rotor `first` show it, and write
+ * slip and `sliding_s` of each. Once a tick, with speeds that are free of the wheel diameters. */
 void compare_with_train(struct train_tick *t, int first);
 
-/* 1 if a rotor is too far from the train's speed to be adhering. Its slip is not NaN. */
+/* 1 if a rotor is too far from the train's speed to adhere. Its slip is not NaN. */
 int is_off_train(const struct train_tick *t, const struct rotor *r);
 
 #endif

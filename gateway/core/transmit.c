@@ -1,8 +1,8 @@
-/* From status to frames: what is due, encoded, counted and protected.
+/* Status to frames: frames that are due, encoded, counted and protected.
  *
- * Nothing here can fail: a cycle that is divided by is at least 1 ns, indices of drives, columns and
- * messages come from constant tables, and a number that is not known is NaN, which the encoder sends
- * as the signal's not-available code. Times wrap where a record holds nonsense. */
+ * Nothing here can fail: a cycle time that is a divisor is at least 1 ns, indices of drives,
+ * columns and messages come from constant tables, and a number that is not known is NaN, which the
+ * encoder sends as the signal's not-available code. Times wrap if a record holds nonsense. */
 #include "gateway/core/transmit.h"
 
 #include <math.h>
@@ -14,13 +14,13 @@
 #define RPM   (60.0 / (2.0 * 3.141592653589793)) /* revolutions per minute in 1 rad/s */
 #define MS_NS 1000000
 
-/* Largest numbers that are sent: one step below the signal's code for not available. */
+/* Largest numbers that are sent: one step below the signal's not-available code. */
 #define MOST_NIS            25.4
 #define MOST_JUMPS          14
 #define MOST_AGE_MS         254
 #define MOST_TEMPERATURE_MS 2540
 
-enum { NOT_SENT = 255 }; /* no enum flag_state */
+enum { NOT_SENT = 255 }; /* not an enum flag_state */
 
 /* ---- values of signals */
 
@@ -29,8 +29,8 @@ static double at_most(double x, double most)
     return x > most ? most : x;
 }
 
-/* Of creep and utilisation: initialising while the filter converges; valid if both rest on fresh
- * samples; NaN without either. */
+/* Quality of creep and utilisation: initialising while the filter converges; valid if both are
+ * known from fresh samples; NaN if neither is known. */
 static double quality_of(const struct drive_status *drive)
 {
     const int known = !isnan(drive->creep) + !isnan(drive->utilisation);
@@ -41,7 +41,7 @@ static double quality_of(const struct drive_status *drive)
     return drive->health == HEALTH_CONVERGING ? (double)QUALITY_INITIALISING : NAN;
 }
 
-/* Of a drive. */
+/* Value of a signal of a drive. */
 static double drive_value(uint8_t source, const struct drive_status *drive)
 {
     switch (source) {
@@ -69,7 +69,7 @@ static double drive_value(uint8_t source, const struct drive_status *drive)
         return drive->maisd_k;
     case TX_RATE:
         return drive->rate_k_h;
-    case TX_JUMPS: /* known together with the rate */
+    case TX_JUMPS: /* known if the rate is known */
         return isnan(drive->rate_k_h) ? NAN : at_most((double)drive->jumps, MOST_JUMPS);
     case TX_QUALITY:
         return quality_of(drive);
@@ -93,13 +93,13 @@ static double age_ms(int64_t age_ns, int64_t step_ms, int64_t most_ms)
         return NAN;
     const int64_t step_ns = step_ms * MS_NS;
     int64_t steps = age_ns / step_ns;
-    if (age_ns % step_ns < 0) /* a stamp from the future: the quotient is rounded down, too */
+    if (age_ns % step_ns < 0) /* a stamp from the future: round down as well */
         steps--;
     const int64_t age = step_ms * steps;
     return (double)(age < most_ms ? age : most_ms);
 }
 
-/* Of the train. */
+/* Value of a signal of the train. */
 static double train_value(uint8_t source, const struct train_status *train)
 {
     switch (source) {
@@ -128,7 +128,7 @@ static double train_value(uint8_t source, const struct train_status *train)
     }
 }
 
-/* Of what is counted and measured. */
+/* Value of a signal that is counted or measured. */
 static double counted_value(uint8_t source, const struct gateway_counts *counts)
 {
     switch (source) {
@@ -171,7 +171,7 @@ static void fill_values(const struct transmitter *tx, const struct tx_message *m
 
 /* ---- schedule */
 
-/* 1 if `sent` was another state; it is this one from now on. */
+/* Note a state in `sent`; 1 if it has changed. */
 static int note_state(uint8_t *sent, uint8_t state)
 {
     const int changed = *sent != state;
@@ -179,7 +179,7 @@ static int note_state(uint8_t *sent, uint8_t state)
     return changed;
 }
 
-/* 1 if a flag that faults are told by is another than in the last tick. */
+/* 1 if a flag that reports faults has changed since the last tick. */
 static int faults_changed(struct transmitter *tx, const struct drive_status *status,
                           const struct train_status *train)
 {
@@ -193,15 +193,15 @@ static int faults_changed(struct transmitter *tx, const struct drive_status *sta
     return changed;
 }
 
-/* 1 if a message is due; if so, when it is due next. */
+/* 1 if a message is due; then sets the time at which it is due next. */
 static int is_due(const struct transmitter *tx, struct tx_message *message, int64_t now_ns)
 {
     const uint64_t start = (uint64_t)message->next_ns, cycle = (uint64_t)message->cycle_ns;
     const int64_t late = (int64_t)((uint64_t)now_ns - start);
-    /* What goes out with every tick does so however late the first one was. */
+    /* A message with the cycle of the tick is sent in each tick, however late the first one was. */
     if (late < -tx->slack_ns && message->cycle_ns > tx->tick_ns)
         return 0;
-    /* The grid stays, however late a tick is; what was missed is not sent later. */
+    /* The grid stays, however late a tick is; missed frames are not sent later. */
     const uint64_t behind = late > 0 ? (uint64_t)late / cycle : 0;
     message->next_ns = (int64_t)(start + cycle * (1 + behind));
     return 1;

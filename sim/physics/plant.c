@@ -1,8 +1,8 @@
 /* Drives and train of the simulator: machine, wheel on rail, controls and driver.
  *
- * libm's sine, cosine, exponential and arc tangent are used: what is simulated is recorded, and
- * decides no flag. No function here can fail: divisors are constants above 0 of motor and train, or
- * have a floor above 0; nothing is an index that was computed, and no number becomes an integer. */
+ * Sine, cosine, exponential and arc tangent are those of libm: simulated data are recorded and
+ * decide no flag. No function here can fail: divisors are constants above 0 of motor and train, or
+ * have a floor above 0; no index is computed, and no number is converted to an integer. */
 #include "sim/physics/plant.h"
 
 #include <math.h>
@@ -13,7 +13,7 @@ static const double CURRENT_BANDWIDTH = 1200.0; /* rad/s */
 static const double SPEED_BANDWIDTH = 120.0;    /* rad/s */
 static const double SPEED_RATE = 30.0;          /* 1/s, of the speed control's integrator */
 static const double DRIVER_BANDWIDTH = 1.0;     /* rad/s */
-static const double CREEP_BAND_RAD_S = 0.5;     /* least that a slip limiter allows */
+static const double CREEP_BAND_RAD_S = 0.5;     /* least band that a slip limiter allows */
 static const double DC_SOURCE_OHM = 0.2;
 
 static double smaller(double a, double b)
@@ -46,7 +46,7 @@ double sim_creep_torque(const struct sim_contact *contact, double slide)
     return slide >= 0.0 ? torque : -torque;
 }
 
-/* Creep torque of a wheel, held within what an adhesion loss leaves. */
+/* Creep torque of a wheel, limited to what an adhesion loss leaves. */
 static double rail_torque(const struct sim_contact *contact, double w_m)
 {
     const double slide = w_m * contact->radius_m - contact->v_m_s;
@@ -64,8 +64,8 @@ struct rates {
 /* L_s di/dt = u - R_s i - psi_pm w_e [-sin theta, cos theta]
  * T         = k_p pp psi_pm (i_beta cos theta - i_alpha sin theta)
  *
- * With phase a open (star point isolated) i_alpha = i_a stays what it is, 0, and the voltage across
- * b and c, which is u_beta, drives i_beta as ever. */
+ * With phase a open (star point isolated) i_alpha = i_a keeps its value, 0, and the voltage across
+ * b and c, which is u_beta, drives i_beta as before. */
 static struct rates machine(const struct sim_motor *m, const double y[4], double u_alpha,
                             double u_beta)
 {
@@ -80,8 +80,8 @@ static struct rates machine(const struct sim_motor *m, const double y[4], double
     return rates;
 }
 
-/* Torque of the friction brake. At standstill it opposes what would turn the wheel; *locked: that is
- * no more than the brake holds. */
+/* Torque of the friction brake. At standstill it opposes the torque that would turn the wheel;
+ * *locked: 1 if that torque is no larger than the brake can hold. */
 static double brake_torque(const struct sim_motor *m, const struct sim_contact *contact,
                            const double y[4], double u_alpha, double u_beta, int *locked)
 {
@@ -96,7 +96,7 @@ static double brake_torque(const struct sim_motor *m, const struct sim_contact *
     return copysign(m->brake_nm, turning);
 }
 
-/* One step of Runge and Kutta; y: i_alpha, i_beta, w_m, theta_e. */
+/* One Runge-Kutta step; y: i_alpha, i_beta, w_m, theta_e. */
 static void step(const struct sim_motor *m, const struct sim_contact *contact, double u_alpha,
                  double u_beta, double h, double y[4])
 {
@@ -142,8 +142,8 @@ void sim_integrate(const struct sim_motor *motor, const struct sim_contact *cont
 
 /* ---- controls of a drive */
 
-/* Field-oriented PI control with decoupling; the result acts in the next period. Voltage beyond
- * u_max is scaled back, and the integrators hold. */
+/* Field-oriented PI control with decoupling; its voltage is applied in the next period. Above
+ * u_max the voltage is scaled back, and the integrators are held. */
 static void control_current(const struct sim_motor *m, double torque_ref, double u_max, double dt,
                             struct sim_drive *d)
 {
@@ -157,7 +157,7 @@ static void control_current(const struct sim_motor *m, double torque_ref, double
     double u_d = gain * error_d + d->v_d - w_e * m->L_s * i_q;
     double u_q = gain * error_q + d->v_q + w_e * (m->L_s * i_d + m->psi_pm);
     const double size = hypot(u_d, u_q);
-    if (size > u_max) { /* so above 0 */
+    if (size > u_max) { /* so it is above 0 */
         u_d *= u_max / size;
         u_q *= u_max / size;
     } else {
@@ -170,8 +170,8 @@ static void control_current(const struct sim_motor *m, double torque_ref, double
     d->u_beta = u_d * sin(ahead) + u_q * cos(ahead);
 }
 
-/* Torque reference, Nm: the command unless the wheel leaves the creep band. Only what is commanded
- * can be limited: a motor that coasts does not act on a wheel that slides. */
+/* Torque reference, Nm: the command, unless the wheel leaves the creep band. Only a command can
+ * be limited: a motor that coasts has no effect on a wheel that slides. */
 static double limit_slip(const struct sim_motor *m, double command, double w_train, double dt,
                          struct sim_drive *d)
 {
@@ -201,7 +201,7 @@ static double control_speed(const struct sim_motor *m, double w_ref, double dt, 
     return within(gain * error + d->integral_nm, m->T_max);
 }
 
-/* The torque limiter after one period. */
+/* Level of the torque limiter after one period. */
 static double next_limiter(const struct sim_train *train, double now, int cut, double floor_level)
 {
     if (cut)
@@ -211,7 +211,7 @@ static double next_limiter(const struct sim_train *train, double now, int cut, d
 
 /* ---- driver and train */
 
-/* Torque demand on each drive, Nm, of a driver who holds the speed. */
+/* Torque demand on each drive, Nm, of a driver who keeps the speed. */
 static double driver_demand(struct sim_train *train, double effort, int braking, double w_ref,
                             double w_acc)
 {
@@ -227,7 +227,7 @@ static double driver_demand(struct sim_train *train, double effort, int braking,
     return within(demand, effort);
 }
 
-/* What loads a wheel in this period. */
+/* Load of a wheel in this period. */
 static struct sim_contact contact_of(const struct sim_train *train, const struct sim_motor *m,
                                      const struct sim_rail *rail, double carry, double limiter)
 {

@@ -8,15 +8,15 @@
 double sim_creep_torque(const struct sim_contact *contact, double slide);
 
 /* Move one drive by `steps` steps of `h` s at constant voltage, V. The friction brake opposes the
- * rotation: it stops the wheel, never turns it, and holds it while motor and rail together have no
- * more torque than the brake. */
+ * rotation: it stops the wheel but never turns it, and holds it at rest while motor and rail
+ * together have no more torque than the brake. */
 void sim_integrate(const struct sim_motor *motor, const struct sim_contact *contact, double u_alpha,
                    double u_beta, double h, int64_t steps, struct sim_drive *drive);
 
 /* Move the train and its N drives by n periods; fills out (n, N, OUT_COLUMNS), the state at the end
- * of each. What drives report as their command is the train's; `share` is in what they deliver.
- * Speeds wanted are those of a rotor with a nominal wheel. While the friction brake of every drive
- * is applied, the driver's demand falls to 0. */
+ * of each. Drives report the train's command as theirs; `share` acts only on what they deliver.
+ * Speed references are those of a rotor with a nominal wheel. While all friction brakes
+ * are applied, the driver's demand falls to 0. */
 void sim_advance(struct sim_train *train, const struct sim_motor *motors, struct sim_drive *drives,
                  const struct sim_schedule *schedule, double *out);
 

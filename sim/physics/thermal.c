@@ -1,6 +1,6 @@
 /* Thermal networks of the simulator: heat flows between the nodes of a motor and to the air.
  *
- * No function here can fail: capacities are constants above 0, and an index is a loop's. */
+ * No function here can fail: capacities are constants above 0, and indices are loop variables. */
 #include "sim/physics/thermal.h"
 
 enum { WINDING = 0, CORE = 1, FRAME = 2, BEARING_DE = 3, BEARING_NDE = 4, ROTOR = 5 };

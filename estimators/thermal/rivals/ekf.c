@@ -2,11 +2,11 @@
  *
  *     dT/dt = c (I^2 + g w^2) - xi (T - T_out)        reading = T + b + noise
  *
- * State x = [T, log c, log xi]: heat gain c and heat loss xi walk slowly (ageing). `ekf.py` says
- * what was corrected in the equation and how c, xi, g and b are fitted.
+ * State x = [T, log c, log xi]: heat gain c and heat loss xi change slowly (ageing). `ekf.py` lists
+ * the corrections to the equation and how c, xi, g and b are fitted.
  *
  * Nothing here can fail. The divisors are a heat loss, which is an exponential, and the variance of
- * an innovation, which is above that of a reading; of a model that has one of them at 0 the
+ * an innovation, which is above that of a reading; with a model that has one of them at 0 the
  * innovations are NaN or infinite. Loops end with the samples and with the step of the last one. */
 #include "estimators/thermal/rivals/ekf.h"
 
@@ -15,8 +15,8 @@
 #include "estimators/elementary.h"
 #include "estimators/numbers.h"
 
-static const double NUDGE = 1e-4;   /* of log xi, for the derivative by it */
-static const double FACTOR = 2.0;   /* log of the factor within which c and xi stay */
+static const double NUDGE = 1e-4;   /* change of log xi for the derivative */
+static const double FACTOR = 2.0;   /* logarithm of the factor within which c and xi stay */
 static const double FIRST_T = 10.0; /* K, standard deviation of T at the start */
 
 struct ekf {
@@ -25,15 +25,15 @@ struct ekf {
     double low[3], high[3]; /* limits of x[1] and x[2] */
 };
 
-/* Steps of constant heat: T = decay T + c warmed + aired. */
+/* Effect of steps of constant heat: T = decay T + c warmed + aired. */
 struct gap {
-    double decay; /* of T */
+    double decay; /* share of T that is left */
     double warmed;
     double aired;
 };
 
-/* Eq. (1) over `steps` steps, exact for constant heat in each: the last one's has decayed for no
- * step. */
+/* Integrate eq. (1) over `steps` steps, exactly for constant heat in each: that of the last step
+ * has not decayed. */
 static struct gap integrate(double loss, double speed_share, const struct thermal_input *u,
                             int64_t steps, double step_s)
 {
@@ -66,7 +66,7 @@ static void start(struct ekf *f, const struct lumped_model *model, double prior_
     }
 }
 
-/* P = A P A', where A is the unit matrix but for its first row a. */
+/* P = A P A', where A is the unit matrix except for its first row a. */
 static void propagate(double P[3][3], const double a[3])
 {
     for (int j = 0; j < 3; j++)
@@ -87,7 +87,7 @@ static void predict(struct ekf *f, const struct lumped_model *model,
     const struct gap near = integrate(xi_nudged, model->speed_share, u, steps, tuning->step_s);
     const double T = here.decay * f->x[0] + c * here.warmed + here.aired;
     const double T_near = near.decay * f->x[0] + c * near.warmed + near.aired;
-    /* Derivatives of T by the state. */
+    /* Derivatives of T with respect to the state. */
     const double a[3] = {here.decay, c * here.warmed, (T_near - T) / NUDGE};
     f->x[0] = T;
     propagate(f->P, a);
@@ -96,7 +96,7 @@ static void predict(struct ekf *f, const struct lumped_model *model,
     f->P[2][2] += tuning->walk;
 }
 
-/* x = x + k nu, P = P - k H P, where H = [1 0 0]; the innovation nu over its standard deviation. */
+/* x = x + k nu, P = P - k H P, where H = [1 0 0]; returns the innovation nu over its sigma. */
 static double update(struct ekf *f, const struct lumped_model *model, double reading)
 {
     const double S = f->P[0][0] + model->noise;

@@ -4,10 +4,10 @@
 
 #include "gateway/core/records.h"
 
-/* Fill out (samples,) with the innovations of one point over their standard deviation, 0 where there
+/* Fill out (samples,) with the innovations of one point over their standard deviation, 0 if there
  * is no reading.
  *
- * reading (samples,): degC, not finite where there is none; at (samples,): step of `inputs` at whose
+ * reading (samples,): degC, not finite if there is none; at (samples,): step of `inputs` at whose
  * end each was taken, ascending, from 0; inputs: of this motor, at least up to the last step. */
 void lumped_innovations(const struct lumped_model *model, const struct lumped_tuning *tuning,
                         const struct thermal_input *inputs, const double *reading,
