@@ -33,7 +33,7 @@ static const int64_t MOTION_HELD_NS = 100 * MS_NS;
 #define SPEED_MOVED       0.03
 #define SPEED_MOVED_RAD_S 1.0
 #define COMMAND_MOVED     0.15
-#define MOST_TURN         2.5 /* rad between two samples of current: a filter can track no faster rotor */
+#define MOST_TURN 2.5 /* rad between two samples of current: a filter can track no faster rotor */
 
 /* ---- Held Motion ---- */
 

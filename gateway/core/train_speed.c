@@ -19,11 +19,11 @@
 
 #include "estimators/numbers.h"
 
-#define CATCH_UP     4.0
-#define HARDER       2.0
-#define UNSEEN_S     1.0    /* after longer without a tracked rotor, nothing is known */
-#define MOST_SLIP    0.06   /* slip of adhering wheels, one or two percent of creep each included */
-#define SLIP_OF_TWO  0.08   /* the same for two drives: the reference has the noise of one */
+#define CATCH_UP    4.0
+#define HARDER      2.0
+#define UNSEEN_S    1.0     /* after longer without a tracked rotor, nothing is known */
+#define MOST_SLIP   0.06    /* slip of adhering wheels, one or two percent of creep each included */
+#define SLIP_OF_TWO 0.08    /* the same for two drives: the reference has the noise of one */
 #define MOST_DIFFERENCE 0.1 /* the same while too little has been learnt of the diameters */
 /* On a bad rail a train changes its speed by hills and by a share of its motors' mean load. */
 #define HILL         0.02
