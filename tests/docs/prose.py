@@ -26,7 +26,7 @@ ERRORS = (
     "redundancy", "uncomparables", "weasel_words",
 )  # fmt: skip
 """Those checks of proselint that find errors, not taste."""
-STOP = re.compile(r"[.!?:;](?=\s|$)|\n\s*\n|\n\s*(?:[-*+]|\d+\.)\s")
+STOP = re.compile(r"[.!?:;](?=[*_)]*(?:\s|$))|\n\s*\n|\n\s*(?:[-*+]|\d+\.)\s")
 WORD = re.compile(r"[A-Za-z][\w'-]*")
 
 
