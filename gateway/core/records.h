@@ -1,8 +1,8 @@
 /* Records of the core: one line per field, with unit and meaning.
  *
  * The compiler, cffi and NumPy (dbc/records.py) all read this file, so each layout is defined once.
- * Only `#define` of a number, `enum` and `struct` are allowed: cffi parses nothing else. It is
- * longer than others because it holds every record of the core. */
+ * Only `#define` of a number, `enum` and `struct` are allowed: cffi parses nothing else.
+ * Longer than other files because it holds every record of the core. */
 #ifndef TRACTION_RECORDS_H
 #define TRACTION_RECORDS_H
 
