@@ -129,12 +129,17 @@ def run(place, tests, **environment):
 def sanitize(arguments):
     """Run tests; the hostile ones if none are named."""
     place = built("sanitize")
-    library = subprocess.run(
-        ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
-    ).stdout.strip()
+    # That of C++ too: without it AddressSanitizer ends a program that throws, as FreeType's does.
+    libraries = [
+        subprocess.run(
+            ["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        for name in ("libasan.so", "libstdc++.so.6")
+    ]
     # Python itself frees nothing at its end.
     named = any(one.startswith("tests") for one in arguments)
-    return run(place, arguments if named else [*HOSTILE, *arguments], LD_PRELOAD=library,
+    return run(place, arguments if named else [*HOSTILE, *arguments],
+               LD_PRELOAD=" ".join(libraries),
                ASAN_OPTIONS="detect_leaks=0", UBSAN_OPTIONS="print_stacktrace=1")  # fmt: skip
 
 
