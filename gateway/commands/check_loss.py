@@ -39,7 +39,7 @@ def print_results(config: Config, tried: Tried) -> list[str]:
     from gateway.hil.synthetic_loss import DEPTH, WITHIN_NS
 
     for node, why in tried.blind.items():
-        if node not in _mapped(config):  # of those it is said above
+        if node not in _mapped(config):  # the reason of mapped drives is printed above
             _line(f"drive {node} is always Unknown: {why}")
     if len(tried.blind) == len(config.nodes):
         _line("not tried: no drive can ever be judged")

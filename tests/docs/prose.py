@@ -1,11 +1,15 @@
 """Prose linter: proselint on the pages, and a style of our own (`python -m tests.docs.prose`).
 
 The style: at most `SHORT` words between two stops on a page that a visitor reads, `LONG` elsewhere;
-and none of `PRIVATE`, words and turns that stand for a term of the field.
+and none of `PRIVATE`, words and turns that stand for a term of the field. Of docstrings and
+comments of the product only these words are checked.
 """
 
+import ast
+import io
 import re
 import sys
+import tokenize
 from pathlib import Path
 
 from proselint.checks import __register__ as theirs
@@ -18,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 SHORT, LONG = 25, 40
 PRIVATE = (
     r"(?:for|of|by|to|with) who", r"who asks?", r"(?:is|are) (?:said|told)", r"doubts", r"hears?",
-    r"(?:that|which|what) (?:is|are) none", r"heard", r"believes?", r"believed", r"forgets?",
+    r"(?:that|which|what) (?:is|are) none", r"heard", r"believes?", r"believed",
 )  # fmt: skip
 """Regular expressions, in any case of letters."""
 ERRORS = (
@@ -26,6 +30,7 @@ ERRORS = (
     "redundancy", "uncomparables", "weasel_words",
 )  # fmt: skip
 """Those checks of proselint that find errors, not taste."""
+PRODUCT = ("dbc", "estimators", "gateway", "sim")
 STOP = re.compile(r"[.!?:;](?=[*_)]*(?:\s|$))|\n\s*\n|\n\s*(?:[-*+]|\d+\.)\s")
 WORD = re.compile(r"[A-Za-z][\w'-]*")
 
@@ -35,6 +40,34 @@ def pages():
     for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))):
         short = path.parent == ROOT or path.parent.name == "tutorials"
         yield path, SHORT if short else LONG
+
+
+def explanations(path):
+    """Docstrings and comments of a source, each in its lines; empty lines for the code."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        found = [(token.start[0], token.string)
+                 for token in tokenize.generate_tokens(io.StringIO(text).readline)
+                 if token.type == tokenize.COMMENT]  # fmt: skip
+        found += [(node.lineno, node.value.value) for node in ast.walk(ast.parse(text))
+                  if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+                  and isinstance(node.value.value, str)]  # fmt: skip
+    else:
+        found = [(text.count("\n", 0, one.start()) + 1, one[0])
+                 for one in re.finditer(r"/\*.*?\*/", text, re.DOTALL)]  # fmt: skip
+    lines = [""] * (text.count("\n") + 1)
+    for first, part in found:
+        for k, line in enumerate(part.split("\n"), first - 1):
+            lines[k] += f" {line.strip(' */#')}"
+    return re.sub(r"`[^`]*`", lambda name: re.sub(r"[^\n]", "x", name[0]), "\n".join(lines))
+
+
+def sources():
+    """Python and C of the product."""
+    for package in PRODUCT:
+        for path in sorted((ROOT / package).rglob("*.[pch]*")):
+            if path.suffix in {".py", ".c", ".h"}:
+                yield path
 
 
 def blank(match):
@@ -67,34 +100,36 @@ def too_long(most):
     return check
 
 
-def style(most):
-    """Our own checks."""
+def words():
+    """A check of proselint: `PRIVATE`."""
     turns = (turn.replace(" ", r"\s+") for turn in PRIVATE)
     private = Existence(tuple(f"(?i:{turn})" for turn in turns))
-    return (
-        Check(private, path="house.words", message="a private turn, '{}': the field's term?"),
-        Check(too_long(most), path="house.length"),
-    )
+    return Check(private, path="house.words", message="a private turn, '{}': the field's term?")
 
 
-def lint(name, text, most):
-    """What is wrong with a page, a line each."""
+def run(name, text, checks):
+    """What these checks of proselint find, a line each."""
     registry = CheckRegistry()
-    registry.checks[:] = [*theirs, *style(most)]
-    found = LintFile(name, prose(text)).lint(
-        {"max_errors": 1000, "checks": dict.fromkeys((*ERRORS, "house"), True)}
-    )
+    registry.checks[:] = checks
+    enabled = dict.fromkeys((*ERRORS, "house"), True)
+    found = LintFile(name, text).lint({"max_errors": 1000, "checks": enabled})
     return [f"{name}:{at.pos[0]}: {at.check_result.message}" for at in found]
 
 
+def lint(name, text, most):
+    """What is wrong with a page."""
+    return run(name, prose(text), [*theirs, words(), Check(too_long(most), path="house.length")])
+
+
 def main():
-    """Lint all pages; exit code 1 if anything is wrong."""
+    """Lint all pages and sources; exit code 1 if anything is wrong."""
     found = [
-        line for path, most in pages()
-        for line in lint(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8"), most)
+        *(lint(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8"), most)
+          for path, most in pages()),
+        *(run(str(path.relative_to(ROOT)), explanations(path), [words()]) for path in sources()),
     ]  # fmt: skip
-    print(*found, sep="\n", end="\n" if found else "")
-    sys.exit(bool(found))
+    print(*(line for lines in found for line in lines), sep="\n")
+    sys.exit(any(found))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.docs.prose import LONG, SHORT, lint, pages
+from tests.docs.prose import LONG, SHORT, explanations, lint, pages, run, words
 
 WORDS = " ".join(f"{first}{second}x" for first in "abcdef" for second in "ghjkl")
 
@@ -40,3 +40,11 @@ def test_code_tables_and_links_are_no_prose(text):
 def test_what_a_visitor_reads_has_short_sentences():
     most = {path.name: words for path, words in pages()}
     assert (most["README.md"], most["replay.md"], most["thermal.md"]) == (SHORT, SHORT, LONG)
+
+
+def test_of_a_source_only_docstrings_and_comments_are_read(tmp_path):
+    python, c = tmp_path / "x.py", tmp_path / "x.c"
+    python.write_text('"""A\n\nword that is none."""\n\nheard = "heard"  # who asks\n')
+    c.write_text("int heard;\n/* A frame is\n * said to be good. */\nint believed; /* heard */\n")
+    assert [line.split(":")[1] for line in run("x.py", explanations(python), [words()])] == ["3", "5"]
+    assert [line.split(":")[1] for line in run("x.c", explanations(c), [words()])] == ["2", "4"]

@@ -89,7 +89,7 @@ class Observer:
         self._recent = Recent(config.nodes)
         self._schedule = Schedule(codec.by_name["Gateway_Adhesion"].cycle_ns)
         self.counts: Counter[str] = Counter()
-        """Frames by cause: believed (accepted), canopen, unknown_id, and reasons of rejection."""
+        """Frames by cause: `believed` (accepted), canopen, unknown_id, and reasons of rejection."""
         self._received = self._window = 0
         self._frames_s: float | None = None
         self._bus_state = self._last_bus_state = BusState.ACTIVE
