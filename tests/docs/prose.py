@@ -123,12 +123,13 @@ def lint(name, text, most):
 
 def main():
     """Lint all pages and sources; exit code 1 if anything is wrong."""
-    found = [
+    found = (
         *(lint(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8"), most)
           for path, most in pages()),
         *(run(str(path.relative_to(ROOT)), explanations(path), [words()]) for path in sources()),
-    ]  # fmt: skip
-    print(*(line for lines in found for line in lines), sep="\n")
+    )  # fmt: skip
+    for line in (line for lines in found for line in lines):
+        print(line)
     sys.exit(any(found))
 
 

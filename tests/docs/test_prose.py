@@ -46,5 +46,6 @@ def test_of_a_source_only_docstrings_and_comments_are_read(tmp_path):
     python, c = tmp_path / "x.py", tmp_path / "x.c"
     python.write_text('"""A\n\nword that is none."""\n\nheard = "heard"  # who asks\n')
     c.write_text("int heard;\n/* A frame is\n * said to be good. */\nint believed; /* heard */\n")
-    assert [line.split(":")[1] for line in run("x.py", explanations(python), [words()])] == ["3", "5"]
-    assert [line.split(":")[1] for line in run("x.c", explanations(c), [words()])] == ["2", "4"]
+    for path, lines in ((python, ["3", "5"]), (c, ["2", "4"])):
+        found = run(path.name, explanations(path), [words()])
+        assert [line.split(":")[1] for line in found] == lines

@@ -41,7 +41,7 @@ DRIVE_GAUGES: Final = (
     ("load_torque_sigma_newton_meters", "load_sigma_nm", "Its standard deviation, of the shadow"),
     ("loss_probability_ratio", "loss_probability", "Probability that adhesion is lost"),
     ("nis", "nis", "Normalised innovation squared of the estimator"),
-    ("maisd_kelvin", "maisd_k", "Moving average inter-state standard deviation (MAISD) of temperature"),
+    ("maisd_kelvin", "maisd_k", "MAISD: moving average inter-state standard deviation"),
     ("temperature_jumps", "jumps", "Jumps of temperature sensors, as the gateway counts them"),
     ("degradation_kelvin_per_hour", "degradation_k_h", "Trend of the thermal deviation"),
     ("last_frame_age_seconds", "age_s", "Since the drive's last good frame"),
