@@ -12,6 +12,7 @@
 
 #include "estimators/numbers.h"
 #include "estimators/order_statistics.h"
+#include "gateway/core/rotors.h"
 
 #define COASTING 0.05 /* share of rated torque; smaller commands are not compared with each other */
 #define RATIO_FLOOR   0.2 /* least divisor of a load */
@@ -98,8 +99,7 @@ static void relate_commands(struct adhesion *a, const struct drive_input *drives
     }
 }
 
-/* Find loads that may be compared, and their values. A drive mounted the other way round turns and
- * pulls the other way; the sign of its speed gives the train's direction. Returns the number. */
+/* Find loads that may be compared, and their values in the direction of the train. Returns the number. */
 static int find_known(struct adhesion *a, const struct drive_estimate *estimates)
 {
     int count = 0;
@@ -108,8 +108,8 @@ static int find_known(struct adhesion *a, const struct drive_estimate *estimates
         const int tracks = estimates[k].health == HEALTH_TRACKING && !a->rotors[k].above;
         a->known[k] = tracks && mine->command_ratio >= RATIO_UNKNOWN;
         mine->command_ratio = larger(RATIO_FLOOR, mine->command_ratio);
-        const double forward = known_or_zero(estimates[k].speed_rad_s) >= 0.0 ? 1.0 : -1.0;
-        mine->load = forward * known_or_zero(estimates[k].load_nm) / a->rotors[k].rated_nm;
+        const double load_nm = known_or_zero(estimates[k].load_nm);
+        mine->load = direction_of(&a->rotors[k], load_nm) * load_nm / a->rotors[k].rated_nm;
         mine->sigma = known_or_zero(estimates[k].load_sigma_nm) / a->rotors[k].rated_nm;
         mine->by_observer = estimates[k].by_observer;
         count += a->known[k];

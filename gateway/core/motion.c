@@ -1,7 +1,8 @@
 /* Measured speed and torque of the drives: load by an observer, and a check of the estimates.
  *
  * The filters need about ten samples of current per electrical revolution. With fewer, the load
- * comes from the observer, without a bump; without a fresh Motion it is then unknown. With enough
+ * comes from the observer, without a bump; without a fresh Motion it is then unknown. It also comes
+ * from there at a speed so low that the flux is not seen, if there is a Motion. With enough
  * samples, the measured speed shows what currents alone cannot: swapped phases, an aliased speed, a
  * wrong sign, and a rotor that turns although the filter does not find it.
  *
@@ -148,14 +149,14 @@ static void fade(const struct motion_monitor *m, struct motion *own, int by_obse
  *
  * Drives are compared, and filter and observer follow a load step at different speeds: if one
  * drive needs the observer, all drives that can use it do. */
-static void select_source(const struct motion_monitor *m, int64_t k, int any_aliasing)
+static void select_source(const struct motion_monitor *m, int64_t k, int needed)
 {
     struct motion *own = &m->motions[k];
     const struct input_status *in = &m->inputs[k];
     struct drive_estimate *estimate = &m->estimates[k];
     const int invalid = estimate->health == HEALTH_INPUT_INVALID;
     const int can = !isnan(in->speed_rad_s) && is_observer_settled(own);
-    const int by_observer = own->aliasing || (any_aliasing && can);
+    const int by_observer = own->aliasing || (needed && can);
     estimate->by_observer = by_observer && !invalid;
     if (by_observer && !invalid)
         estimate_by_observer(own, in, estimate);
@@ -165,9 +166,9 @@ static void select_source(const struct motion_monitor *m, int64_t k, int any_ali
         own->load_nm = NAN;
 }
 
-/* Find drives that turn too fast for their samples of current; 1 if one of these can be compared.
+/* Note which drives turn too fast, or too slowly, for their filters; 1 if one of these can be compared.
  * A filter's speed from implausible currents is ignored, and changes no other drive's source. */
-static int find_aliasing(const struct motion_monitor *m)
+static int note_ranges(const struct motion_monitor *m)
 {
     int any = 0;
     for (int64_t k = 0; k < m->n; k++) {
@@ -176,15 +177,17 @@ static int find_aliasing(const struct motion_monitor *m)
             own->implausible ? 0.0 : known_or(m->estimates[k].speed_rad_s, 0.0);
         const double w = known_or(m->inputs[k].speed_rad_s, estimated);
         const double limit = m->max_w_e * (own->aliasing ? 1.0 - HYSTERESIS : 1.0);
+        const double least = m->crawl_w_e * (own->crawls ? 1.0 + HYSTERESIS : 1.0);
         own->aliasing = fabs(own->pole_pairs * w) > limit;
-        any = any || (own->aliasing && !own->implausible);
+        own->crawls = fabs(own->pole_pairs * m->inputs[k].speed_rad_s) < least;
+        any = any || ((own->aliasing || own->crawls) && !own->implausible);
     }
     return any;
 }
 
 void select_sources(struct motion_monitor *m, int64_t now_ns)
 {
-    const int any_aliasing = find_aliasing(m);
+    const int needed = note_ranges(m);
     for (int64_t k = 0; k < m->n; k++) {
         struct motion *own = &m->motions[k];
         struct drive_estimate *estimate = &m->estimates[k];
@@ -196,7 +199,7 @@ void select_sources(struct motion_monitor *m, int64_t now_ns)
         estimate->health_reason = REASON_STARTING;
         if (open_phase || implausible)
             set_unknown(estimate, HEALTH_INPUT_INVALID, REASON_STARTING);
-        select_source(m, k, any_aliasing);
+        select_source(m, k, needed);
         if (contrary)
             set_unknown(estimate, HEALTH_INPUT_INVALID, REASON_STARTING);
         own->implausible = open_phase || contrary || implausible;

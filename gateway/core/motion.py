@@ -33,6 +33,8 @@ SUB_STEP_S: Final = 125e-6
 """Sub-step that the configured process noise is stated for."""
 TURNS: Final = 2.0
 """Times the least observable speed: above it a filter finds its rotor."""
+CRAWLS: Final = 1.5
+"""Times the least observable speed: below it the load comes from `Motion`, if there is one."""
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -102,6 +104,7 @@ class MotionMonitor(Addressed):
         constants = {
             "max_w_e": 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s),
             "turning_w_e": TURNS * config.min_speed_rad_s,
+            "crawl_w_e": CRAWLS * config.min_speed_rad_s,
             "fade": math.exp(-tick_ns / SECOND / FADE_S), "period_s": times.sample_s,
             "dt": SAMPLE_NS / SECOND, "motion_cycle_ns": times.period_ns, "tick_ns": tick_ns,
             "n": n,

@@ -781,6 +781,7 @@ struct rotor {
     int32_t motor;               /* index of the first rotor with the same ratings; constant */
     int32_t next_alike;          /* index of the next rotor with the same ratings; 0: none */
     int8_t way;        /* sign of its speed when it last adhered; 0: not known (creep.c) */
+    int8_t forward;    /* sign of its speed when it last turned; 0: it has not turned yet */
     uint8_t far;       /* 1: too far from the others, while its diameter is not known */
     uint8_t apart;     /* 1: too far from the others when their distance was last known */
     uint8_t away;      /* 1: its own torque made it run away from the others; not back yet */
@@ -1427,6 +1428,7 @@ struct motion {
     int64_t disagree_ticks; /* consecutive ticks in which measured and estimated speed disagree */
     uint8_t started;        /* 1: there was a reading */
     uint8_t aliasing;       /* 1: too few samples of current per revolution for the filter */
+    uint8_t crawls;         /* 1: too slow for the filter to be sure of finding the rotor */
     uint8_t by_observer;    /* 1: `load_nm` came from the observer */
     uint8_t implausible;    /* 1: the input of the drive is implausible */
 };
@@ -1484,6 +1486,7 @@ struct motion_monitor {
     uint8_t *taken;          /* (n,) workspace */
     double max_w_e;          /* electrical speed beyond which samples are too few, rad/s */
     double turning_w_e;      /* electrical speed beyond which a filter finds its rotor, rad/s */
+    double crawl_w_e;        /* electrical speed below which it may not, rad/s */
     double fade;             /* share of `offset_nm` that is left after a tick */
     double period_s;         /* time between two samples of current, s */
     double dt;               /* sub-step of samples, s */

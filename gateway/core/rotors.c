@@ -34,6 +34,7 @@
  * no measure for others: share, and rad/s. */
 #define SPEEDS_APART       0.05
 #define SPEEDS_APART_RAD_S 1.0
+#define TURNS_RAD_S        1.0 /* from this speed on, its sign is no noise */
 /* An estimate that has been followed for a shorter time may still converge from a wrong start: if
  * it differs by more than LEARN_CREEP, the measured speed is used instead. */
 #define FOLLOWED_S 0.2
@@ -75,27 +76,37 @@ static int note_rotor(const struct train_tick *t, struct rotor *r, const struct 
     }
     r->followed_s += t->tick_s;
     r->speed = tracked_speed(r, in, t->now_ns);
-    r->load = copysign(1.0, in->speed_rad_s) * in->load_nm / r->rated_nm;
+    if (fabs(in->speed_rad_s) >= TURNS_RAD_S)
+        r->forward = in->speed_rad_s < 0.0 ? -1 : 1;
+    r->load = direction_of(r, in->load_nm) * in->load_nm / r->rated_nm;
     return 1;
 }
 
-/* Note speed and load of every rotor, and whether the train brakes. The load of a wheel that slides
- * slows its own rotor and is no effort of the train, unless all wheels slide. */
+/* Magnitude of a mean; 0 of none. */
+static double mean_size(double total, int count)
+{
+    return count > 0 ? fabs(total) / count : 0.0;
+}
+
+/* Note speed and load of every rotor, and whether the train brakes or coasts. The load of a wheel that
+ * slides slows its own rotor: it is no effort of a train of which two wheels or more do not slide. */
 static void note(struct train_tick *t)
 {
-    double total[2] = {0.0, 0.0}; /* of rotors that turn with the others, of those that do not */
-    int count[2] = {0, 0};
+    double total = 0.0, held = 0.0; /* of all rotors, of those that turn with the others */
+    int count = 0, holds = 0;
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         if (!note_rotor(t, r, &t->in[k]))
             continue;
-        total[r->apart] += r->load;
-        count[r->apart]++;
+        total += r->load;
+        count++;
+        held += r->apart ? 0.0 : r->load;
+        holds += !r->apart;
     }
-    const int of = count[0] > 0 ? 0 : 1;
-    t->effort = count[of] > 0 ? fabs(total[of]) / count[of] : 0.0;
-    t->braking = total[of] < 0.0;
-    t->drags = t->braking || t->effort < LEAST_EFFORT;
+    t->effort = mean_size(total, count);
+    t->braking = total < 0.0;
+    t->coasts = t->effort < LEAST_EFFORT || (holds > 1 && mean_size(held, holds) < LEAST_EFFORT);
+    t->drags = t->braking || t->coasts;
 }
 
 /* ---- Acceleration ---- */

@@ -25,9 +25,19 @@ struct train_tick {
     struct ranking commands; /* valid ones of all drives, per unit of rated torque, without sign */
     double effort;           /* magnitude of their mean; follow_rotors writes it and: */
     int braking;             /* 1: the loads of all drives brake */
+    int coasts;              /* 1: no motor pulls or brakes */
     int drags;               /* 1: a wheel that slides is slower than its train: it brakes, or no
                               * motor pulls, and all that can act are friction brakes */
 };
+
+/* The sign that brings a load to the direction in which its train moves: a drive may be mounted the
+ * other way round. Before its rotor has turned, each drive is assumed to pull. */
+static inline double direction_of(const struct rotor *r, double load_nm)
+{
+    if (r->forward != 0)
+        return r->forward;
+    return load_nm < 0.0 ? -1.0 : 1.0;
+}
 
 /* The next rotor with the same motor; n after the last one. */
 static inline int next_alike(const struct train_tick *t, int k)

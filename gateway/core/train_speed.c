@@ -50,7 +50,7 @@ static double leading_speed(const struct train_tick *t, int first)
         const struct rotor *r = &t->rotor[k];
         const int good = is_measure(t, k);
         const int with_train = t->braking ? r->load <= 0.0 : r->load >= 0.0;
-        const int may_lead = t->effort < LEAST_EFFORT ? !isnan(r->load) : with_train;
+        const int may_lead = t->coasts ? !isnan(r->load) : with_train;
         if (!may_lead || !isfinite(r->speed) || good < adheres)
             continue;
         const int leads = t->drags ? r->speed > lead : r->speed < lead;
@@ -91,7 +91,7 @@ static void follow_train(struct train_tick *t, int first)
     struct rotor *train = &t->rotor[first];
     const double lead = leading_speed(t, first);
     train->unseen_s = isnan(lead) ? train->unseen_s + t->tick_s : 0.0;
-    if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->effort < LEAST_EFFORT))
+    if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->coasts))
         train->train_speed = train->train_limit = lead;
     const double by_motors = HILL + ROTATING * t->effort;
     const int less = is_bad_rail(t, first) && by_motors < MOST_ACCELERATION;
@@ -109,7 +109,7 @@ void compare_with_train(struct train_tick *t, int first)
     const double bound = train->train_speed, limit = train->train_limit;
     const double effort = t->drags ? -1.0 : 1.0;
     const int moves = bound >= LEAST_SPEED && limit >= LEAST_SPEED;
-    const int known = moves && t->effort >= LEAST_EFFORT;
+    const int known = moves && !t->coasts;
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
         r->slip = known ? effort * (r->speed / bound - 1.0) : NAN;

@@ -149,9 +149,9 @@ class Adhesion:
         health = told.health == Health.TRACKING
         self.known = health & (self.rotors["above"] == 0) & (self.ratio >= RATIO_UNKNOWN)
         self.ratio = np.maximum(self.ratio, RATIO_FLOOR)
-        forward = np.where(np.nan_to_num(told.speed, posinf=1, neginf=-1) >= 0.0, 1.0, -1.0)
         load = np.where(np.isnan(told.load), 0.0, told.load)
-        self.load = forward * load / rated
+        turned = self.rotors["forward"]
+        self.load = np.where(turned != 0, turned, np.where(load < 0.0, -1, 1)) * load / rated
         self.estimated = np.where(np.isnan(told.sigma), 0.0, told.sigma) / rated
         self.source = told.estimates["by_observer"].copy()
         alone = np.count_nonzero(self.known) < ENOUGH_TO_COMPARE

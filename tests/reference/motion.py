@@ -42,7 +42,8 @@ class Memory(NamedTuple):
     """What is remembered of every drive, (N,).
 
     observer (N, 8): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
-    readings: since it began; beyond: the drive turns too fast for its current samples; load: what
+    readings: since it began; beyond: the drive turns too fast for its current samples; crawls: too
+    slowly for its flux to be seen; load: what
     was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
     the difference where that changed; apart: ticks in a row that the two speeds have been;
     unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its input
@@ -60,6 +61,7 @@ class Memory(NamedTuple):
     apart: Ints
     unlocked_ns: Ints
     wrong: Flags
+    crawls: Flags
 
 
 class Limits(NamedTuple):
@@ -80,15 +82,16 @@ class Limits(NamedTuple):
     tolerance: float
     tolerance_rad_s: float
     ticks: int
+    crawl_w_e: float
 
 
 def memory(n: int) -> Memory:
     """Nothing remembered."""
     zeros = [np.zeros(n, dtype=np.int64) for _ in range(4)]
-    flags = [np.zeros(n, dtype=np.bool_) for _ in range(4)]
+    flags = [np.zeros(n, dtype=np.bool_) for _ in range(5)]
     return Memory(
         np.zeros((n, len(LoadState._fields))), flags[0], zeros[0], zeros[1], flags[1],
-        np.full(n, np.nan), flags[2], np.zeros(n), zeros[2], zeros[3], flags[3],
+        np.full(n, np.nan), flags[2], np.zeros(n), zeros[2], zeros[3], flags[3], flags[4],
     )  # fmt: skip
 
 
@@ -220,7 +223,9 @@ def merge_motion(
             w = 0.0 if unknown else told.speed[k]
         limit = limits.limit_w_e * (1.0 - limits.hysteresis if memory.beyond[k] else 1.0)
         memory.beyond[k] = abs(limits.pole_pairs[k] * w) > limit
-        any_beyond |= memory.beyond[k] and not memory.wrong[k]
+        least = limits.crawl_w_e * (1.0 + limits.hysteresis if memory.crawls[k] else 1.0)
+        memory.crawls[k] = abs(limits.pole_pairs[k] * measured[k]) < least
+        any_beyond |= (memory.beyond[k] or memory.crawls[k]) and not memory.wrong[k]
     for k in range(measured.shape[0]):
         told.reason[k] = _STARTING
         fresh = not math.isnan(measured[k])

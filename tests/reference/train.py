@@ -36,6 +36,8 @@ SPEEDS_APART: Final = 0.05
 SPEEDS_APART_RAD_S: Final = 1.0
 """A speed by the currents that differs by more from `Motion`, at the rotor, is no measure for
 others; `Motion` is up to 10 ms old."""
+TURNS_RAD_S: Final = 1.0
+"""From this speed on, its sign is no noise."""
 FOLLOWED_S: Final = 0.2
 """A speed by the currents that has been followed for less may be on its way from a guess: beyond
 `LEARN_CREEP` from it, `Motion` goes before it."""
@@ -97,7 +99,8 @@ class Train(NamedTuple):
     uncertain: it may be running away, or braked by something else; doubt_ns: until then its
     currents accuse nobody; uncommanded_s, odd_s: for how long, odd: too long; above: carries more
     than its command and than the others, in this tick; speed, load: of one tick; train: its speed;
-    way: sign of a rotor's speed when it adhered, 0 if unknown (given).
+    way: sign of a rotor's speed when it adhered, 0 if unknown (given); forward: sign of its speed
+    when it last turned; before that it pulls.
     """
 
     rated: Array
@@ -127,6 +130,7 @@ class Train(NamedTuple):
     load: Array
     train: train_speed.TrainSpeed
     way: Ints
+    forward: Ints
 
 
 def start(motors: Sequence[Motor]) -> Train:
@@ -145,7 +149,7 @@ def start(motors: Sequence[Motor]) -> Train:
         unknown[4], np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n), unknown[1], np.zeros(n),
         np.zeros(n), far, apart, np.zeros(n), np.zeros(n), away, uncertain, doubt_ns, np.zeros(n),
         np.zeros(n), odd, above, unknown[2], unknown[3], train_speed.start(n),
-        np.zeros(n, dtype=np.int64),
+        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64),
     )  # fmt: skip
 
 
@@ -171,12 +175,12 @@ def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
 
 def _note(
     measured: Array, now: int, tick_s: float, told: Told, train: Train
-) -> tuple[float, float]:
-    """Speeds and loads of this tick; the train's effort: mean load, in its direction, and sum.
+) -> tuple[float, float, bool]:
+    """Speeds and loads of this tick; mean load, its sum in the train's direction, and coasting.
 
-    Of those that turn with the others, if there are any: a wheel that slides carries its own rotor.
+    A train coasts, too, if two wheels or more that do not slide carry nothing.
     """
-    totals, counts = [0.0, 0.0], [0, 0]
+    loads, held = [], []
     for k in range(measured.shape[0]):
         tracking, speed = told.health[k] == Health.TRACKING, measured[k]
         train.load[k] = math.nan
@@ -191,12 +195,16 @@ def _note(
                 speed = math.nan
             elif not guess:
                 speed = told.speed[k]
-            train.load[k] = math.copysign(1.0, told.speed[k]) * told.load[k] / train.rated[k]
-            totals[int(train.apart[k])] += train.load[k]
-            counts[int(train.apart[k])] += 1
+            if abs(told.speed[k]) >= TURNS_RAD_S:
+                train.forward[k] = -1 if told.speed[k] < 0.0 else 1
+            pulls = -1 if told.load[k] < 0.0 else 1
+            train.load[k] = (train.forward[k] or pulls) * told.load[k] / train.rated[k]
+            loads.append(float(train.load[k]))
+            held += [] if train.apart[k] else loads[-1:]
         train.speed[k] = speed
-    of = 0 if counts[0] else 1
-    return (abs(totals[of]) / counts[of] if counts[of] else 0.0), totals[of]
+    effort = abs(sum(loads)) / len(loads) if loads else 0.0
+    still = len(held) > 1 and abs(sum(held)) / len(held) < train_speed.LEAST_EFFORT
+    return effort, sum(loads), effort < train_speed.LEAST_EFFORT or still
 
 
 def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
@@ -298,10 +306,11 @@ def _learn_diameters(tick_s: float, flag: Ints, operating: Flags, train: Train) 
 
 
 def _compare_speeds(
-    tick_s: float, braking: bool, effort: float, flag: Ints, operating: Flags, train: Train
-) -> None:
+    tick_s: float, braking: bool, coasts: bool, effort: float, flag: Ints, operating: Flags,
+    train: Train,
+) -> None:  # fmt: skip
     """Who turns faster or slower than the others; learns diameters while nobody slips."""
-    drags = braking or effort < train_speed.LEAST_EFFORT
+    drags = braking or coasts
     for k in range(flag.shape[0]):
         speed = train.speed[k]
         train.speed[k] = train.way[k] * speed if train.way[k] else abs(speed)
@@ -317,7 +326,7 @@ def _compare_speeds(
     memory = train.train
     train_speed.follow(
         memory, train.motor, train.speed, train.load, flag, (flag == Flag.BAD) & operating,
-        train.apart, train.rated, train.inertia, train.learnt_s, effort, braking, tick_s,
+        train.apart, train.rated, train.inertia, train.learnt_s, effort, braking, coasts, tick_s,
     )  # fmt: skip
     for k in range(flag.shape[0]):
         others = _speed_of_others(k, drags, train)
@@ -408,10 +417,10 @@ def assess_train(
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
     are not judged.
     """
-    effort, total = _note(measured, now, tick_s, told, train)
+    effort, total, coasts = _note(measured, now, tick_s, told, train)
     braking = total < 0.0
     _accelerate(tick_s, braking, train)
-    _compare_speeds(tick_s, braking, effort, flag, slow.operating, train)
+    _compare_speeds(tick_s, braking, coasts, effort, flag, slow.operating, train)
     for k in range(flag.shape[0]):
         train.above[k] = False
         if not commanded[k] or told.health[k] != Health.TRACKING:

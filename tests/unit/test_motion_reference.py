@@ -33,6 +33,7 @@ FIELDS = {
 """Field of `struct plausibility`: of the reference."""
 MOTION = {
     "started": "begun", "reading_ns": "last_ns", "readings": "readings", "aliasing": "beyond",
+    "crawls": "crawls",
     "load_nm": "load", "by_observer": "observed", "offset_nm": "offset", "disagree_ticks": "apart",
     "unlocked_ns": "unlocked_ns", "implausible": "wrong",
 }  # fmt: skip
@@ -58,7 +59,7 @@ class Plain:
             rows, p, int(own["motion_cycle_ns"]), int(own["tick_ns"]), own["max_w_e"],
             reference.HYSTERESIS, reference.MOST_MISSING, reference.SETTLED_READINGS, own["fade"],
             reference.FADED_NM, own["turning_w_e"], reference.LOCKED_NS, reference.SPEED_TOLERANCE,
-            reference.SPEED_TOLERANCE_RAD_S, reference.TICKS,
+            reference.SPEED_TOLERANCE_RAD_S, reference.TICKS, own["crawl_w_e"],
         )  # fmt: skip
         self.doubt_ns = drives.rotors["unreliable_until_ns"].copy()
         self.check = plausibility.start(n, self.doubt_ns)

@@ -22,7 +22,7 @@ SAME = {
     "far": "far", "apart": "apart", "near_s": "near_s", "slides_s": "slides_s", "away": "away",
     "uncertain": "uncertain", "doubt_ns": "unreliable_until_ns", "uncommanded_s": "uncommanded_s",
     "odd_s": "odd_s", "odd": "odd", "above": "above", "speed": "speed", "load": "load",
-    "rated": "rated_nm", "inertia": "inertia_kg_m2", "motor": "motor",
+    "rated": "rated_nm", "inertia": "inertia_kg_m2", "motor": "motor", "forward": "forward",
 }  # fmt: skip
 """Field of the reference: field of `struct rotor`."""
 HEALTH = [Health.TRACKING] * 8 + [Health.CONVERGING, Health.INPUT_INVALID]
