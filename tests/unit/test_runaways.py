@@ -171,3 +171,23 @@ def test_the_one_that_holds_is_unknown_soon_where_the_other_is_not_caught():
     assert speeds[-1, 0] > 1.5 * speeds[-1, 1]
     assert longest_good(flags, speeds, 1, 0) <= MOST_TICKS
     assert not (flags[:, 1] == Flag.BAD).any()
+
+
+def starting(nm, seconds=6.0, **more):
+    """A train that starts from standstill, with half of its torque lost under drive 2 for a second."""
+    lost = {"at_s": 2.0, "for_s": 1.0, "drive": 2, "kind": "adhesion_loss", "depth": 0.5}
+    return scenario(
+        seed=3, duration_s=seconds, event=[lost], load={"torque_nm": nm},
+        motion={"start": "standstill", "profile": [(0.0, 0.0), (1.0, 0.0), (seconds, 4.0)]}, **more
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("nm", [18.0, -18.0])
+def test_a_train_that_starts_is_judged_by_its_motion(nm):
+    """Its currents reveal no load below 5 rad/s of these rotors, which it never reaches."""
+    flags, speeds = flags_and_speeds(starting(nm), codec())
+    assert speeds.max() < 5.0
+    assert (flags[50:, [0, 2]] == Flag.GOOD).all()
+    assert (flags[50:200, 1] == Flag.GOOD).all()
+    assert (flags[210:300, 1] == Flag.BAD).all()
+    assert (flags[320:, 1] == Flag.GOOD).all()
