@@ -116,6 +116,23 @@ def test_hysteresis_at_the_limit():
     assert seen == [False, True, True, False, False, True]
 
 
+def test_a_drive_that_crawls_has_the_load_of_its_motion_and_without_one_that_of_its_filter():
+    """Below 30 rad/s electrical, with 5 % of hysteresis; forwards and backwards."""
+    for way in (1.0, -1.0):
+        motion, seen = side(), []
+        for k in range(60):
+            tick(motion, (0, k * 10 * MS, way * 7.0, 20.0))
+        for w_e in (30.0, 29.9, 31.0, 31.5, 31.6, 30.0, 0.0):
+            w_m = way * w_e / 4.0
+            (estimate,) = merged(
+                motion, [DriveEstimate(Health.CONVERGING, w_m, 19.0, 0.5, 2.0)], [w_m]
+            )
+            seen.append(estimate.health is Health.TRACKING)
+        assert seen == [False, True, True, False, False, False, True]
+        (estimate,) = merged(motion, [DriveEstimate(Health.TRACKING, 0.0, 19.0, 0.5, 2.0)], [None])
+        assert estimate.load_nm == pytest.approx(19.0, abs=1.0)
+
+
 def test_input_that_cannot_be_believed_stays_so():
     motion = side()
     w_m = 2.0 * LIMIT_W_E / 4.0

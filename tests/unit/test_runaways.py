@@ -174,7 +174,7 @@ def test_the_one_that_holds_is_unknown_soon_where_the_other_is_not_caught():
 
 
 def starting(nm, seconds=6.0, **more):
-    """A train that starts from standstill, with half of its torque lost under drive 2 for a second."""
+    """A train that starts from standstill; half of what drive 2 carries is lost for a second."""
     lost = {"at_s": 2.0, "for_s": 1.0, "drive": 2, "kind": "adhesion_loss", "depth": 0.5}
     return scenario(
         seed=3, duration_s=seconds, event=[lost], load={"torque_nm": nm},
