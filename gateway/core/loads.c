@@ -153,6 +153,8 @@ void relate_loads(struct adhesion *a, const struct drive_estimate *estimates,
         response->command = known_or_zero(drives[k].command) / r->rated_nm;
         response->previous_command = known_or_zero(drives[k].previous_command) / r->rated_nm;
         response->command_age_s = (double)elapsed(drives[k].command_ns, now_ns) / SECOND_NS;
-        response->usable = a->rotor_inputs[k].command_valid && a->known[k];
+        /* At a crawl what accelerates a train is a large part of its load: no answer to a command. */
+        const int answers = a->known[k] && !estimates[k].crawls;
+        response->usable = a->rotor_inputs[k].command_valid && answers;
     }
 }

@@ -158,6 +158,7 @@ static void select_source(const struct motion_monitor *m, int64_t k, int needed)
     const int can = !isnan(in->speed_rad_s) && is_observer_settled(own);
     const int by_observer = own->aliasing || (needed && can);
     estimate->by_observer = by_observer && !invalid;
+    estimate->crawls = by_observer && own->crawls && !invalid;
     if (by_observer && !invalid)
         estimate_by_observer(own, in, estimate);
     if (!invalid && estimate->health == HEALTH_TRACKING && !isnan(estimate->load_nm))
@@ -180,7 +181,9 @@ static int note_ranges(const struct motion_monitor *m)
         const double least = m->crawl_w_e * (own->crawls ? 1.0 + HYSTERESIS : 1.0);
         own->aliasing = fabs(own->pole_pairs * w) > limit;
         own->crawls = fabs(own->pole_pairs * m->inputs[k].speed_rad_s) < least;
-        any = any || ((own->aliasing || own->crawls) && !own->implausible);
+        /* A wheel that has locked changes no other drive's source. */
+        const int crawls = own->crawls && !m->rotors[k].away;
+        any = any || ((own->aliasing || crawls) && !own->implausible);
     }
     return any;
 }

@@ -1393,6 +1393,7 @@ struct drive_estimate {
     uint8_t health;        /* enum filter_health */
     uint8_t health_reason; /* enum reason why it is not tracked */
     uint8_t by_observer; /* 1: from speed and torque (motion.c); 0: by the filter, from currents */
+    uint8_t crawls;      /* 1: so, because the rotor is too slow for the filter */
 };
 
 /* Rotor of one drive, and the noise of its load observer; constant. */

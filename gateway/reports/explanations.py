@@ -41,7 +41,7 @@ _REASONS: Final = {
     Reason.STARTING: (
         REASONS[Reason.STARTING],
         "wait; if it lasts after a second of driving, look at `Health` and the motor's parameters",
-        "the first 0.2 s after the start; a train at standstill",
+        "the first 0.2 s after the start; a train at standstill without `Motion`",
     ),
     Reason.STALE: (
         REASONS[Reason.STALE],

@@ -43,7 +43,7 @@ class Memory(NamedTuple):
 
     observer (N, 8): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
     readings: since it began; beyond: the drive turns too fast for its current samples; crawls: too
-    slowly for its flux to be seen; load: what
+    slowly for its flux to be seen; away: its wheel has run away or locked (given); load: what
     was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
     the difference where that changed; apart: ticks in a row that the two speeds have been;
     unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its input
@@ -62,6 +62,7 @@ class Memory(NamedTuple):
     unlocked_ns: Ints
     wrong: Flags
     crawls: Flags
+    away: Flags
 
 
 class Limits(NamedTuple):
@@ -88,10 +89,11 @@ class Limits(NamedTuple):
 def memory(n: int) -> Memory:
     """Nothing remembered."""
     zeros = [np.zeros(n, dtype=np.int64) for _ in range(4)]
-    flags = [np.zeros(n, dtype=np.bool_) for _ in range(5)]
+    flags = [np.zeros(n, dtype=np.bool_) for _ in range(6)]
     return Memory(
         np.zeros((n, len(LoadState._fields))), flags[0], zeros[0], zeros[1], flags[1],
         np.full(n, np.nan), flags[2], np.zeros(n), zeros[2], zeros[3], flags[3], flags[4],
+        flags[5],
     )  # fmt: skip
 
 
@@ -193,6 +195,7 @@ def _merge(
     ready = fresh and memory.readings[k] >= limits.settled_readings
     observed = memory.beyond[k] or (any_beyond and ready)
     told.estimates["by_observer"][k] = observed and not invalid
+    told.estimates["crawls"][k] = observed and memory.crawls[k] and not invalid
     if observed and not invalid:
         _by_observer(k, fresh, told, memory, limits)
         # It goes on with `Motion` alone, but nothing shows any more that this is plausible.
@@ -225,7 +228,8 @@ def merge_motion(
         memory.beyond[k] = abs(limits.pole_pairs[k] * w) > limit
         least = limits.crawl_w_e * (1.0 + limits.hysteresis if memory.crawls[k] else 1.0)
         memory.crawls[k] = abs(limits.pole_pairs[k] * measured[k]) < least
-        any_beyond |= (memory.beyond[k] or memory.crawls[k]) and not memory.wrong[k]
+        crawls = memory.crawls[k] and not memory.away[k]
+        any_beyond |= (memory.beyond[k] or crawls) and not memory.wrong[k]
     for k in range(measured.shape[0]):
         told.reason[k] = _STARTING
         fresh = not math.isnan(measured[k])

@@ -87,6 +87,7 @@ class Plain:
             columns.slow_of(came.drives), now, drives.bank.chords, self.filters, told,
             self.memory, self.check, self.check_limits,
         )  # fmt: skip
+        self.memory.away[:] = drives.rotors["away"]
         reference.merge_motion(
             given, open_phase, self.check.until_ns, now, told, self.memory, self.limits
         )
@@ -141,6 +142,7 @@ class Train:
         self.drives.came.drives["command"] = rng.choice([20.0, 19.0, 8.0, np.nan], n)
         self.drives.bank.chords["ready"] = rng.random(n) < 0.5
         self.drives.bank.chords["w"] = self.w_e
+        self.drives.rotors["away"] = rng.random(n) < 0.1
         if rng.random() < 0.03:
             self.now += rng.choice([100, 1000, 61_000]) * MS
 
