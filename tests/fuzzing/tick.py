@@ -60,7 +60,7 @@ STATE: dict[str, str] = {
     "inputs.status": "",
     "motion.motions": (
         "observer load_nm offset_nm reading_ns readings unlocked_ns disagree_ticks started aliasing"
-        " by_observer implausible"
+        " crawls by_observer implausible"
     ),
     "motion.checks": (
         "current samples repeats block_repeats repeated_s base deviation learnt angle_ns"
@@ -71,7 +71,7 @@ STATE: dict[str, str] = {
     "adhesion.rotors": (
         "speed load slow_speed quick_speed acceleration_torque brake_torque diameter learnt_s creep"
         " followed_s alone_s near_s slides_s uncommanded_s odd_s unreliable_until_ns far apart away"
-        " uncertain odd above"
+        " uncertain odd above forward"
     ),
     "adhesion.loads": "",
     "adhesion.ratios": "",
