@@ -26,7 +26,7 @@ static int find_widest(void)
     uint32_t a, b, c, d;
     __cpuid(1, a, b, c, d);
     const uint32_t osxsave = 1u << 27;
-    if (!(c & osxsave)) /* not supported */
+    if (!(c & osxsave)) /* another processor */
         return 0;
     const uint32_t saved = saved_registers();
     __cpuid_count(7, 0, a, b, c, d);

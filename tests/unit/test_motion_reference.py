@@ -142,7 +142,7 @@ class Train:
         self.drives.came.drives["command"] = rng.choice([20.0, 19.0, 8.0, np.nan], n)
         self.drives.bank.chords["ready"] = rng.random(n) < 0.5
         self.drives.bank.chords["w"] = self.w_e
-        self.drives.rotors["away"] = rng.random(n) < 0.1
+        self.drives.rotors["away"] = np.arange(n) == self.left % 11
         if rng.random() < 0.03:
             self.now += rng.choice([100, 1000, 61_000]) * MS
 
