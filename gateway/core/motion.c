@@ -167,11 +167,21 @@ static void select_source(const struct motion_monitor *m, int64_t k, int needed)
         own->load_nm = NAN;
 }
 
-/* Note which drives turn too fast, or too slowly, for their filters; 1 if one of these can be compared.
- * A filter's speed from implausible currents is ignored, and changes no other drive's source. */
+/* 1 if drive k bears witness that its train does not crawl: a wheel that has run away or locked, and
+ * implausible input, do not. */
+static int is_faster(const struct motion_monitor *m, int64_t k)
+{
+    const struct motion *own = &m->motions[k];
+    const int measured = !isnan(m->inputs[k].speed_rad_s);
+    return measured && !own->crawls && !own->implausible && !m->rotors[k].away;
+}
+
+/* Note which drives turn too fast, or too slowly, for their filters; 1 if the observers are needed: one
+ * of the former can be compared, or the train crawls. A filter's speed from implausible currents is
+ * ignored, and changes no other drive's source. */
 static int note_ranges(const struct motion_monitor *m)
 {
-    int any = 0;
+    int fast = 0, slow = 0, faster = 0;
     for (int64_t k = 0; k < m->n; k++) {
         struct motion *own = &m->motions[k];
         const double estimated =
@@ -181,11 +191,11 @@ static int note_ranges(const struct motion_monitor *m)
         const double least = m->crawl_w_e * (own->crawls ? 1.0 + HYSTERESIS : 1.0);
         own->aliasing = fabs(own->pole_pairs * w) > limit;
         own->crawls = fabs(own->pole_pairs * m->inputs[k].speed_rad_s) < least;
-        /* A wheel that has locked changes no other drive's source. */
-        const int crawls = own->crawls && !m->rotors[k].away;
-        any = any || ((own->aliasing || crawls) && !own->implausible);
+        fast = fast || (own->aliasing && !own->implausible);
+        slow = slow || (own->crawls && !own->implausible);
+        faster = faster || is_faster(m, k);
     }
-    return any;
+    return fast || (slow && !faster);
 }
 
 void select_sources(struct motion_monitor *m, int64_t now_ns)

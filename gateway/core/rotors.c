@@ -82,31 +82,20 @@ static int note_rotor(const struct train_tick *t, struct rotor *r, const struct 
     return 1;
 }
 
-/* Magnitude of a mean; 0 of none. */
-static double mean_size(double total, int count)
-{
-    return count > 0 ? fabs(total) / count : 0.0;
-}
-
-/* Note speed and load of every rotor, and whether the train brakes or coasts. The load of a wheel that
- * slides slows its own rotor: it is no effort of a train of which two wheels or more do not slide. */
+/* Note speed and load of every rotor, and whether the train brakes. */
 static void note(struct train_tick *t)
 {
-    double total = 0.0, held = 0.0; /* of all rotors, of those that turn with the others */
-    int count = 0, holds = 0;
+    double total = 0.0;
+    int count = 0;
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         if (!note_rotor(t, r, &t->in[k]))
             continue;
         total += r->load;
         count++;
-        held += r->apart ? 0.0 : r->load;
-        holds += !r->apart;
     }
-    t->effort = mean_size(total, count);
+    t->effort = count > 0 ? fabs(total) / count : 0.0;
     t->braking = total < 0.0;
-    t->coasts = t->effort < LEAST_EFFORT || (holds > 1 && mean_size(held, holds) < LEAST_EFFORT);
-    t->drags = t->braking || t->coasts;
 }
 
 /* ---- Acceleration ---- */
@@ -215,8 +204,8 @@ static double reference_speed(const struct train_tick *t, const struct speeds *s
                               const struct rotor *r)
 {
     const double own = isnan(r->load) ? NAN : r->speed;
-    const double tracked = median_of_others(&speeds->tracked, own, t->drags);
-    return isnan(tracked) ? median_of_others(&speeds->all, r->speed, t->drags) : tracked;
+    const double tracked = median_of_others(&speeds->tracked, own, t->braking);
+    return isnan(tracked) ? median_of_others(&speeds->all, r->speed, t->braking) : tracked;
 }
 
 /* Relative change of a rotor's speed from its recent mean. */
@@ -241,7 +230,7 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
  * tracked determines the train's speed itself. */
 static double slip_of(const struct train_tick *t, const struct rotor *r)
 {
-    const double against_others = (t->drags ? -1.0 : 1.0) * r->creep;
+    const double against_others = (t->braking ? -1.0 : 1.0) * r->creep;
     return isnan(r->slip) || against_others > r->slip ? against_others : r->slip;
 }
 
@@ -249,7 +238,7 @@ static double slip_of(const struct train_tick *t, const struct rotor *r)
  * has changed, not theirs. */
 static int runs_away(const struct train_tick *t, const struct rotor *r)
 {
-    const double effort = t->drags ? -1.0 : 1.0;
+    const double effort = t->braking ? -1.0 : 1.0;
     const double slip = slip_of(t, r);
     if (r->away)
         return slip > LEARN_CREEP;

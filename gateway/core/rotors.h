@@ -10,8 +10,6 @@
  * 350 kW motor, including the wheelset behind its gear. */
 #define MOST_ACCELERATION 0.15
 #define DIAMETER_ROUGH_S  0.5 /* adhering for so long, a rotor has a diameter known to a percent */
-/* Mean load, per unit of rated torque, from which on motors can make wheels slide. */
-#define LEAST_EFFORT 0.1
 
 /* Working data of assess_train. */
 struct train_tick {
@@ -25,9 +23,6 @@ struct train_tick {
     struct ranking commands; /* valid ones of all drives, per unit of rated torque, without sign */
     double effort;           /* magnitude of their mean; follow_rotors writes it and: */
     int braking;             /* 1: the loads of all drives brake */
-    int coasts;              /* 1: no motor pulls or brakes */
-    int drags;               /* 1: a wheel that slides is slower than its train: it brakes, or no
-                              * motor pulls, and all that can act are friction brakes */
 };
 
 /* The sign that brings a load to the direction in which its train moves: a drive may be mounted the

@@ -19,11 +19,13 @@
 
 #include "estimators/numbers.h"
 
-#define CATCH_UP    4.0
-#define HARDER      2.0
-#define UNSEEN_S    1.0     /* after longer without a tracked rotor, nothing is known */
-#define MOST_SLIP   0.06    /* slip of adhering wheels, one or two percent of creep each included */
-#define SLIP_OF_TWO 0.08    /* the same for two drives: the reference has the noise of one */
+/* Mean load, per unit of rated torque, from which on motors can make wheels slide. */
+#define LEAST_EFFORT 0.1
+#define CATCH_UP     4.0
+#define HARDER       2.0
+#define UNSEEN_S     1.0    /* after longer without a tracked rotor, nothing is known */
+#define MOST_SLIP    0.06   /* slip of adhering wheels, one or two percent of creep each included */
+#define SLIP_OF_TWO  0.08   /* the same for two drives: the reference has the noise of one */
 #define MOST_DIFFERENCE 0.1 /* the same while too little has been learnt of the diameters */
 /* On a bad rail a train changes its speed by hills and by a share of its motors' mean load. */
 #define HILL         0.02
@@ -50,10 +52,9 @@ static double leading_speed(const struct train_tick *t, int first)
         const struct rotor *r = &t->rotor[k];
         const int good = is_measure(t, k);
         const int with_train = t->braking ? r->load <= 0.0 : r->load >= 0.0;
-        const int may_lead = t->coasts ? !isnan(r->load) : with_train;
-        if (!may_lead || !isfinite(r->speed) || good < adheres)
+        if (!with_train || !isfinite(r->speed) || good < adheres)
             continue;
-        const int leads = t->drags ? r->speed > lead : r->speed < lead;
+        const int leads = t->braking ? r->speed > lead : r->speed < lead;
         lead = leads || isnan(lead) || good > adheres ? r->speed : lead;
         adheres = good;
     }
@@ -91,15 +92,15 @@ static void follow_train(struct train_tick *t, int first)
     struct rotor *train = &t->rotor[first];
     const double lead = leading_speed(t, first);
     train->unseen_s = isnan(lead) ? train->unseen_s + t->tick_s : 0.0;
-    if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->coasts))
+    if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->effort < LEAST_EFFORT))
         train->train_speed = train->train_limit = lead;
     const double by_motors = HILL + ROTATING * t->effort;
     const int less = is_bad_rail(t, first) && by_motors < MOST_ACCELERATION;
     const double share = less ? by_motors : MOST_ACCELERATION;
     const double bound = change_in_tick(t, train, share);
     const double limit = change_in_tick(t, train, larger(MOST_ACCELERATION, HARDER * share));
-    train->train_speed = follow_lead(train->train_speed, lead, bound, t->drags);
-    train->train_limit = follow_lead(train->train_limit, lead, limit, t->drags);
+    train->train_speed = follow_lead(train->train_speed, lead, bound, t->braking);
+    train->train_limit = follow_lead(train->train_limit, lead, limit, t->braking);
 }
 
 void compare_with_train(struct train_tick *t, int first)
@@ -107,13 +108,12 @@ void compare_with_train(struct train_tick *t, int first)
     follow_train(t, first);
     const struct rotor *train = &t->rotor[first];
     const double bound = train->train_speed, limit = train->train_limit;
-    const double effort = t->drags ? -1.0 : 1.0;
-    const int moves = bound >= LEAST_SPEED && limit >= LEAST_SPEED;
-    const int known = moves && !t->coasts;
+    const double effort = t->braking ? -1.0 : 1.0;
+    const int known = t->effort >= LEAST_EFFORT && bound >= LEAST_SPEED && limit >= LEAST_SPEED;
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
         r->slip = known ? effort * (r->speed / bound - 1.0) : NAN;
-        const int slides = moves && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
+        const int slides = known && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
         const int ahead = r->slip < 0.0 && r->learnt_s >= DIAMETER_ROUGH_S;
         const int carries = effort * r->load > CARRIES * t->effort;
         r->ahead_s = ahead && carries ? r->ahead_s + t->tick_s : 0.0;

@@ -228,8 +228,10 @@ def merge_motion(
         memory.beyond[k] = abs(limits.pole_pairs[k] * w) > limit
         least = limits.crawl_w_e * (1.0 + limits.hysteresis if memory.crawls[k] else 1.0)
         memory.crawls[k] = abs(limits.pole_pairs[k] * measured[k]) < least
-        crawls = memory.crawls[k] and not memory.away[k]
-        any_beyond |= (memory.beyond[k] or crawls) and not memory.wrong[k]
+        any_beyond |= memory.beyond[k] and not memory.wrong[k]
+    right = ~memory.wrong
+    faster = right & ~np.isnan(measured) & ~memory.crawls & ~memory.away
+    any_beyond |= bool((memory.crawls & right).any() and not faster.any())
     for k in range(measured.shape[0]):
         told.reason[k] = _STARTING
         fresh = not math.isnan(measured[k])

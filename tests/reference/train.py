@@ -173,14 +173,9 @@ def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
     return middle(train.speed[compared], upper)
 
 
-def _note(
-    measured: Array, now: int, tick_s: float, told: Told, train: Train
-) -> tuple[float, float, bool]:
-    """Speeds and loads of this tick; mean load, its sum in the train's direction, and coasting.
-
-    A train coasts, too, if two wheels or more that do not slide carry nothing.
-    """
-    loads, held = [], []
+def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) -> list[float]:
+    """Speeds and loads of this tick; the loads that are known, in the train's direction."""
+    loads = []
     for k in range(measured.shape[0]):
         tracking, speed = told.health[k] == Health.TRACKING, measured[k]
         train.load[k] = math.nan
@@ -200,11 +195,8 @@ def _note(
             pulls = -1 if told.load[k] < 0.0 else 1
             train.load[k] = (train.forward[k] or pulls) * told.load[k] / train.rated[k]
             loads.append(float(train.load[k]))
-            held += [] if train.apart[k] else loads[-1:]
         train.speed[k] = speed
-    effort = abs(sum(loads)) / len(loads) if loads else 0.0
-    still = len(held) > 1 and abs(sum(held)) / len(held) < train_speed.LEAST_EFFORT
-    return effort, sum(loads), effort < train_speed.LEAST_EFFORT or still
+    return loads
 
 
 def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
@@ -306,11 +298,9 @@ def _learn_diameters(tick_s: float, flag: Ints, operating: Flags, train: Train) 
 
 
 def _compare_speeds(
-    tick_s: float, braking: bool, coasts: bool, effort: float, flag: Ints, operating: Flags,
-    train: Train,
-) -> None:  # fmt: skip
+    tick_s: float, braking: bool, effort: float, flag: Ints, operating: Flags, train: Train
+) -> None:
     """Who turns faster or slower than the others; learns diameters while nobody slips."""
-    drags = braking or coasts
     for k in range(flag.shape[0]):
         speed = train.speed[k]
         train.speed[k] = train.way[k] * speed if train.way[k] else abs(speed)
@@ -318,7 +308,7 @@ def _compare_speeds(
         train.far[k] = False
         if train.learnt_s[k] < DIAMETER_FIRST_S:
             # What has been learnt so far may be a slip that grows.
-            others = _speed_of_others(k, drags, train)
+            others = _speed_of_others(k, braking, train)
             creep = train.speed[k] / others - 1.0 if others >= LEAST_SPEED_RAD_S else 0.0
             train.far[k] = abs(creep) > MOST_APART
     for k in range(flag.shape[0]):
@@ -326,15 +316,15 @@ def _compare_speeds(
     memory = train.train
     train_speed.follow(
         memory, train.motor, train.speed, train.load, flag, (flag == Flag.BAD) & operating,
-        train.apart, train.rated, train.inertia, train.learnt_s, effort, braking, coasts, tick_s,
+        train.apart, train.rated, train.inertia, train.learnt_s, effort, braking, tick_s,
     )  # fmt: skip
     for k in range(flag.shape[0]):
-        others = _speed_of_others(k, drags, train)
+        others = _speed_of_others(k, braking, train)
         train.creep[k] = math.nan
         if others >= LEAST_SPEED_RAD_S and not math.isnan(train.speed[k]):
             train.creep[k] = train.speed[k] / others - 1.0
         if not math.isnan(train.creep[k]) or not math.isnan(memory.slip[k]):
-            train.away[k] = _runs_away(k, -1.0 if drags else 1.0, train)
+            train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
         turned = train.away[k] and train.learnt_s[k] >= train_speed.ROUGH_S
         memory.sliding[k] = turned and memory.sliding_s[k] > train_speed.SLIDING_S
     for k in range(flag.shape[0]):
@@ -346,7 +336,7 @@ def _compare_speeds(
             train.uncertain[k] = train.uncertain[k] or train.apart[k]
             continue
         far = train_speed.is_off(memory, k, train.learnt_s[k])
-        far = far or _slip(k, -1.0 if drags else 1.0, train) > MOST_CREEP
+        far = far or _slip(k, -1.0 if braking else 1.0, train) > MOST_CREEP
         beyond = (abs(train.creep[k]) > MOST_CREEP if math.isnan(slip) else far) and not stays
         train.near_s[k] = 0.0 if beyond else train.near_s[k] + tick_s
         train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < NEAR_S)
@@ -417,10 +407,10 @@ def assess_train(
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
     are not judged.
     """
-    effort, total, coasts = _note(measured, now, tick_s, told, train)
-    braking = total < 0.0
+    loads = _note(measured, now, tick_s, told, train)
+    braking, effort = sum(loads) < 0.0, abs(sum(loads)) / max(len(loads), 1)
     _accelerate(tick_s, braking, train)
-    _compare_speeds(tick_s, braking, coasts, effort, flag, slow.operating, train)
+    _compare_speeds(tick_s, braking, effort, flag, slow.operating, train)
     for k in range(flag.shape[0]):
         train.above[k] = False
         if not commanded[k] or told.health[k] != Health.TRACKING:

@@ -59,33 +59,28 @@ def start(n: int) -> TrainSpeed:
     )  # fmt: skip
 
 
-def _lead(speed: Array, load: Array, sure: Flags, coasts: bool, braking: bool) -> float:
-    """Of one motor: who leads of those that are sure, else of all that carry with the train.
-
-    If it coasts, of all that are tracked, the fastest: only friction brakes may act.
-    """
-    with_train = load <= 0.0 if braking else load >= 0.0
-    tracked = (~np.isnan(load) if coasts else with_train) & np.isfinite(speed)
+def _lead(speed: Array, load: Array, sure: Flags, braking: bool) -> float:
+    """Of one motor: who leads of those that are sure, else of all that carry with the train."""
+    tracked = (load <= 0.0 if braking else load >= 0.0) & np.isfinite(speed)
     chosen = tracked & sure if (tracked & sure).any() else tracked
     if not chosen.any():
         return math.nan
-    return float(speed[chosen].max() if braking or coasts else speed[chosen].min())
+    return float(speed[chosen].max() if braking else speed[chosen].min())
 
 
 def follow(
     memory: TrainSpeed, motor: NDArray[np.int64], speed: Array, load: Array,
     flag: NDArray[np.int64], lost: Flags, apart: Flags, rated: Array, inertia: Array,
-    learnt_s: Array, effort: float, braking: bool, coasts: bool, tick_s: float,
+    learnt_s: Array, effort: float, braking: bool, tick_s: float,
 ) -> None:  # fmt: skip
     """One tick. speed, load (N,); rated torque and inertia of the rotor alone (N,)."""
-    drags = braking or coasts
     for first in np.unique(motor):
         mine = motor == first
         sure = (flag == Flag.GOOD) | (memory.ahead_s > AHEAD_S)
-        lead = _lead(speed[mine], load[mine], sure[mine], coasts, braking)
+        lead = _lead(speed[mine], load[mine], sure[mine], braking)
         unseen = math.isnan(lead)
         memory.unseen_s[first] = memory.unseen_s[first] + tick_s if unseen else 0.0
-        forget = memory.unseen_s[first] > UNSEEN_S or (not unseen and coasts)
+        forget = memory.unseen_s[first] > UNSEEN_S or (not unseen and effort < LEAST_EFFORT)
         bad_rail = bool((lost | apart)[mine].any())
         slow = min(FASTEST, HILL + ROTATING * effort) if bad_rail else FASTEST
         for bound, share in zip(memory.bounds, (slow, max(FASTEST, HARDER * slow)), strict=True):
@@ -93,16 +88,15 @@ def follow(
             if forget or math.isnan(bound[first]):
                 bound[first] = lead
             elif not unseen:
-                low, high = (1.0, CATCH_UP) if drags else (CATCH_UP, 1.0)
+                low, high = (1.0, CATCH_UP) if braking else (CATCH_UP, 1.0)
                 bound[first] = min(max(lead, bound[first] - low * most), bound[first] + high * most)
         near, far = memory.bounds[:, first]
-        moves = min(near, far) >= LEAST_SPEED_RAD_S
-        known = moves and not coasts
-        side = -1.0 if drags else 1.0
+        known = effort >= LEAST_EFFORT and min(near, far) >= LEAST_SPEED_RAD_S
+        side = -1.0 if braking else 1.0
         memory.slip[mine] = side * (speed[mine] / near - 1.0) if known else np.nan
         ahead = (memory.slip < 0.0) & (learnt_s >= ROUGH_S) & (side * load > CARRIES * effort)
         memory.ahead_s[mine] = np.where(ahead, memory.ahead_s + tick_s, 0.0)[mine]
-        beyond = moves & (side * (speed / far - 1.0) > SLIDING_SLIP) & ~np.isnan(load)
+        beyond = known & (side * (speed / far - 1.0) > SLIDING_SLIP) & ~np.isnan(load)
         memory.sliding_s[mine] = np.where(beyond, memory.sliding_s + tick_s, 0.0)[mine]
 
 

@@ -16,7 +16,6 @@ SEEDS = (41, 42)
         ("held", "rough", "bench"),
         ("ours", "single", "bench"),
         ("ours", "rough", "bench"),
-        ("ours", "crawl", "traction_350kw"),
     ],
 )
 def test_the_band_of_the_filters_holds_what_it_promises(world, kind, motor):

@@ -83,25 +83,6 @@ def test_those_that_hold_are_known_beside_one_that_brakes_until_it_turns_backwar
     assert (flags[100:, 1] == Flag.BAD).all(), "it is not back yet"
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_wheel_that_friction_brakes_lock_while_its_motor_coasts_is_lost(way):
-    """By its speed alone: nothing is asked of the motors, so that no load shows it."""
-    brakes = {"at_s": 1.0, "for_s": 1.0, "drive": "all", "kind": "friction_brake", "value": 12.4,
-              "ramp_s": 0.3}  # fmt: skip
-    wet = {"at_s": 1.1, "for_s": 0.8, "drive": 1, "kind": "rail", "value": 0.065}
-    run = scenario(
-        duration_s=3.0, event=[brakes, wet], load={"torque_nm": way * 8.0},
-        motion={"start": "rolling", "effort_nm": 24.0, "speed": way * 156.0},
-    )  # fmt: skip
-    flags, speeds = flags_and_speeds(run, codec())
-    locked = (speeds[:, 0] < 0.5) & (speeds[:, 1] > 20.0)
-    assert locked.sum() > 20
-    assert (flags[locked, 0] == Flag.BAD).all()
-    assert longest_good(flags, speeds, 0, 1) <= MOST_TICKS
-    assert not (flags[:, 1:] == Flag.BAD).any()
-    assert (flags[-30:] == Flag.GOOD).all(), "all pull again"
-
-
 @pytest.mark.parametrize(
     ("motor", "nm", "speed"),
     [("bench", 18.0, 320.0), ("bench", 18.0, 400.0), ("traction_350kw", 480.0, 800.0)],
