@@ -217,6 +217,7 @@ static void note_known(struct adhesion *a, int64_t now_ns)
 {
     for (int k = 0; k < a->n; k++) {
         struct drive_load *mine = &a->loads[k];
+        mine->unknown_s = a->known[k] ? 0.0 : mine->unknown_s + a->tick_s;
         if (!a->known[k])
             mine->known_since_ns = NO_TIME;
         else if (mine->known_since_ns == NO_TIME)

@@ -8,7 +8,7 @@
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
  * condition is written so that false, the result of every comparison with NaN, is the safe answer.
- * The divisor is a number of pole pairs; stamps are between 0 and now. */
+ * The divisor is a number of pole pairs, a root that of a variance of a finite filter; stamps are between 0 and now. */
 #include "gateway/core/plausibility.h"
 
 #include <math.h>
@@ -33,6 +33,7 @@ static const int64_t MOTION_HELD_NS = 100 * MS_NS;
 #define SPEED_MOVED       0.03
 #define SPEED_MOVED_RAD_S 1.0
 #define COMMAND_MOVED     0.15
+#define SPEED_SIGMAS      4.0 /* the same, in standard deviations of the speed by the currents */
 #define MOST_TURN 2.5 /* rad between two samples of current: a filter can track no faster rotor */
 
 /* ---- Held Motion ---- */
@@ -56,6 +57,14 @@ static int is_tracked(const struct motion_monitor *m, int64_t k)
 static double own_speed(const struct motion_monitor *m, int64_t k)
 {
     return is_tracked(m, k) ? m->filters[k].x[2] / m->motions[k].pole_pairs : NAN;
+}
+
+/* 1 if the currents show another speed than Motion, by more than the error of the filter. */
+static int is_speed_off(const struct motion_monitor *m, int64_t k, double own)
+{
+    const double measured = m->inputs[k].speed_rad_s;
+    const double sigma = sqrt(m->filters[k].P[2][2]) / m->motions[k].pole_pairs;
+    return has_moved(own, measured) && fabs(own - measured) > SPEED_SIGMAS * sigma;
 }
 
 /* 1 if the measured speeds of all other drives, at least one, have changed. */
@@ -82,7 +91,7 @@ static int is_motion_held(const struct motion_monitor *m, int64_t k, double own,
     const double measured = m->inputs[k].speed_rad_s;
     if (now_ns - p->changed_ns <= MOTION_HELD_NS || isnan(measured))
         return 0;
-    if (has_moved(own, p->own_speed) || has_moved(own, measured))
+    if (is_speed_off(m, k, own))
         return 1;
     const int commanded = fabs(in->command - p->command) > COMMAND_MOVED * p->rated_nm;
     if (commanded && now_ns - in->command_ns > MOTION_HELD_NS)
@@ -109,7 +118,7 @@ static int64_t note_others(struct motion_monitor *m, int64_t k)
 }
 
 /* If Motion has changed, note the circumstances. row: of `others` in this tick; -1: none yet. */
-static void note_motion(struct motion_monitor *m, int64_t r, double own, int64_t *row)
+static void note_motion(struct motion_monitor *m, int64_t r, int64_t *row)
 {
     const struct receiver *from = m->receiver;
     const int64_t k = from->motion_drive[r];
@@ -119,7 +128,6 @@ static void note_motion(struct motion_monitor *m, int64_t r, double own, int64_t
     p->speed = from->motion_speed[r];
     p->torque = from->motion_torque[r];
     p->changed_ns = from->motion_t_ns[r];
-    p->own_speed = own;
     p->command = from->drives[k].command;
     if (*row < 0)
         *row = note_others(m, k);
@@ -144,7 +152,7 @@ static void check_reading(struct motion_monitor *m, int64_t r, int64_t *row, int
     struct plausibility *p = &m->checks[k];
     check_current(m, r, now_ns);
     const double own = own_speed(m, k);
-    note_motion(m, r, own, row);
+    note_motion(m, r, row);
     const int held = is_motion_held(m, k, own, now_ns);
     count_misfit(m, k, &p->motion_misfits, held, &OF_MOTION, now_ns);
     const int load_off = is_load_off(m, k);

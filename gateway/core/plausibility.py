@@ -27,6 +27,6 @@ def checks(motors: Sequence[Motor], step_a: float) -> Records:
     made["torque_per_a"] = [m.k_p * m.pole_pairs * m.psi_pm for m in motors]
     made["rated_a"], made["rated_nm"] = rated_a, [m.T_rated for m in motors]
     made["least_change_a"] = np.maximum(LEAST_STEPS * step_a, LEAST_SHARE * rated_a)
-    for name in ("speed", "torque", "own_speed", "command"):
+    for name in ("speed", "torque", "command"):
         made[name] = np.nan
     return made

@@ -290,15 +290,19 @@ static void compare_speeds(struct train_tick *t, int first)
 /* Find rotors that are too far from the others to adhere. */
 static void find_apart(struct train_tick *t, int first)
 {
-    int known = 0, away = 0;
+    int known = 0, away = 0, lost = 0;
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         const int inside = !isnan(t->rotor[k].speed);
         known += inside;
         away += inside && t->rotor[k].away;
+        lost += inside && t->rotor[k].away && t->in[k].adhesion == FLAG_BAD;
     }
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
         const int left = stays(t, r, known, away);
+        /* Wheels that are known to slide are no measure. */
+        if (lost > 0 && lost == known - !isnan(r->speed) && !r->away)
+            r->far = 0;
         r->uncertain = r->uncertain || (r->far && !left);
         if (isnan(r->creep) && isnan(r->slip)) {
             /* It is not known whether it is back. */

@@ -39,6 +39,7 @@
  * LOAD_BACK_S once the load is back. This ends if the wheel slides again. */
 #define HELD_BACK_S 2.0
 #define LOAD_BACK_S 0.1
+#define UNSEEN_S    0.1  /* least time in which a wheel runs away and grips again */
 #define BACK        0.9  /* probability of adhering from which the load is back */
 #define SLIDES      0.05 /* creep in the direction of the effort; 3 % of slow wheels is noise */
 
@@ -177,7 +178,7 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
 static int is_known_again(const struct adhesion *a, int k, int bad)
 {
     const int learnt = a->rotors[k].learnt_s >= DIAMETER_ROUGH_S;
-    return a->known[k] && a->loads[k].known_since_ns == NO_TIME && learnt && !bad;
+    return a->known[k] && a->loads[k].unknown_s >= UNSEEN_S && learnt && !bad;
 }
 
 /* Update the time for which its own slip control may hold back drive k. p: its verdict. */
@@ -210,6 +211,32 @@ static double held_back(struct adhesion *a, int k, double p, int bad, uint8_t un
     return clears ? 0.0 : UNDECIDED;
 }
 
+/* 1 if a lost wheel has gripped just now: it turns with the others and carries at least the demand, or
+ * more than any comparison explains: it gives back what it gained in speed. */
+static int has_gripped(const struct adhesion *a, int k, int bad)
+{
+    const struct rotor *r = &a->rotors[k];
+    const struct drive_load *mine = &a->loads[k];
+    const int recent = bad || mine->regripped_s > 0.0;
+    if (!recent || r->away || r->apart || !(fabs(r->creep) <= NEAR))
+        return 0;
+    if (mine->response_valid && mine->p_response > DOUBTED)
+        return 0;
+    const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
+    const int neither = a->known[k] && adhering < GRIPS && lost <= DOUBTED;
+    const double load = copysign(1.0, a->common) * mine->load / mine->command_ratio;
+    const double demand = fabs(a->common);
+    return (neither || r->above) && demand >= LITTLE && load >= demand;
+}
+
+/* Judge a drive as one that adheres. */
+static void clear_loss(struct adhesion *a, int k)
+{
+    a->loss_probability[k] = 0.0;
+    a->loss_known[k] = 1;
+    a->loads[k].severe_loss = 0;
+}
+
 void judge_by_memory(struct adhesion *a, const struct drive_status *status, int little,
                      int64_t now_ns)
 {
@@ -217,13 +244,16 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
     const int any = any_adheres(a), asked = any_asked(a);
     for (int k = 0; k < a->n; k++) {
         struct rotor *r = &a->rotors[k];
+        const int bad = status[k].flag[FLAG_ADHESION].state == FLAG_BAD;
         if (!asked && rolls(a, k)) {
-            a->loss_probability[k] = 0.0;
-            a->loss_known[k] = 1;
-            a->loads[k].severe_loss = 0;
+            clear_loss(a, k);
             continue;
         }
-        const int bad = status[k].flag[FLAG_ADHESION].state == FLAG_BAD;
+        if (has_gripped(a, k, bad)) {
+            clear_loss(a, k);
+            a->loads[k].regripped_s = HELD_BACK_S;
+            continue;
+        }
         const uint8_t uncertain = r->uncertain;
         double p = verdict(a, k, all, any, bad, &r->uncertain);
         follow_regrip(a, k, p, bad);

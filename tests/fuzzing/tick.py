@@ -65,7 +65,7 @@ STATE: dict[str, str] = {
     "motion.checks": (
         "current samples repeats block_repeats repeated_s base deviation learnt angle_ns"
         " angle_fitted_ns angle_misfits torque_misfits load_misfits motion_misfits speed torque"
-        " own_speed command changed_ns implausible_until_ns restart"
+        " command changed_ns implausible_until_ns restart"
     ),
     "motion.others": "",
     "adhesion.rotors": (

@@ -33,6 +33,7 @@ from estimators.detect.variational import VariationalDetector
 from gateway.core.codes import NEVER, Flag, Health
 from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
+from tests.reference import regrip
 from tests.reference.train import LEAST_SPEED_RAD_S, MOST_CREEP
 
 DERATING_NS: Final = 2_000_000_000
@@ -79,6 +80,7 @@ class Adhesion:
         self.flag = np.zeros(1, FLAG)
         self.ratio, self.load, self.asked = np.ones(n), np.zeros(n), np.ones(n)
         self.flagged_ns, self.known_ns, self.held_s = [NEVER] * n, [NEVER] * n, [0.0] * n
+        self.unknown_s = [0.0] * n
         self.speed, self.gain = [math.nan] * n, [0.0] * n
         self.any_flagged_ns = self.learn_ns = NEVER
         self.smoothed, self.comparable = math.nan, False
@@ -212,6 +214,7 @@ class Adhesion:
             model.adhering[:], model.lost[:] = 1.0, 0.0
             self.common = model.record["demand"] = model.loads["load"].item()
         adhering, lost = model.adhering.copy(), model.lost.copy()
+        model_p = list(zip(adhering, lost, strict=True))
         two = np.count_nonzero(self.known) >= 2
         alone, valid, each = self._alone()
         compared = self._limited([0.0] * self.n, (self.known & two).tolist())
@@ -228,7 +231,13 @@ class Adhesion:
         holding = self.known & (adhering >= 0.5) & (self.rotors["far"] == 0)
         for k in range(self.n):
             rotor, is_asked = self.rotors[k], bool(lib.is_asked(each + k))
-            if usable[k] and not anyone and self._rolls(k):
+            rolls = usable[k] and not anyone and regrip.rolls(rotor, self.load[k])
+            own = load[k], self.common, *(model_p[k] if self.known[k] else (math.nan, math.nan))
+            grips = (flag[k] == Flag.BAD or self.held_s[k] > 0.0) and regrip.grips(
+                rotor, *own, alone[k] if valid[k] else math.nan
+            )
+            if rolls or grips:
+                self.held_s[k] = self.held_s[k] if rolls else 2.0
                 self.lost.append(0.0)
                 self.lost_known.append(True)
                 self.severe.append(False)
@@ -248,8 +257,7 @@ class Adhesion:
                     rotor["uncertain"] = 1
             elif is_asked and not valid[k] and not rotor["away"]:
                 p = lib.UNDECIDED
-            grips = adhering[k] * self.known[k]
-            p = self._held_back(k, p, grips, flag[k] == Flag.BAD, uncertain)
+            p = self._held_back(k, p, adhering[k] * self.known[k], flag[k] == Flag.BAD, uncertain)
             said = self.known[k] and (compared[k] or is_asked)
             slow = not (valid[k] and alone[k] > 0.5) and not abs(self.smoothed) >= ACCUSING_LOAD
             bare = (usable[k] and not is_asked) or ((little or slow) and everyone == 0.0)
@@ -263,7 +271,7 @@ class Adhesion:
         """What a drive lacks after a regrip, or when it is known again, accuses nobody."""
         rotor, low = self.rotors[k], self.rules.clear_probability
         slip = math.copysign(1.0, self.common or 1.0) * rotor["creep"]
-        again = self.known[k] and self.known_ns[k] == NEVER and rotor["learnt_s"] >= 0.5
+        again = self.known[k] and self.unknown_s[k] >= 0.1 and rotor["learnt_s"] >= 0.5
         back = bad or (rotor["apart"] and self.held_s[k] > 0.0)
         if (again and not bad) or (back and p <= low and grips >= 0.5):
             self.held_s[k] = 2.0
@@ -276,14 +284,6 @@ class Adhesion:
         clears = bad and rotor["apart"]
         rotor["uncertain"] = uncertain if clears else 1
         return 0.0 if clears else float(lib.UNDECIDED)
-
-    def _rolls(self, k: int) -> bool:
-        """Whether a drive, asked for nothing, turns on with the others and carries nothing."""
-        rotor = self.rotors[k]
-        slow = abs(rotor["slow_speed"])
-        goes_on = abs(rotor["speed"] * rotor["diameter"] - slow) <= 0.02 * slow
-        near = abs(rotor["creep"]) <= 0.03 and abs(self.load[k]) <= 0.1
-        return bool(goes_on and near and not rotor["apart"])
 
     def _doubted(self, rotor: Any, p: float, now: int) -> float:
         doubt = now < rotor["unreliable_until_ns"] or rotor["uncommanded_s"] > 0.0
@@ -338,10 +338,9 @@ class Adhesion:
         for k in np.flatnonzero(self.rotors["sliding"]):
             self.lost[k], self.lost_known[k], self.severe[k] = 1.0, True, True
         for k in range(self.n):
-            if not self.known[k]:
-                self.known_ns[k] = NEVER
-            elif self.known_ns[k] == NEVER:
-                self.known_ns[k] = now
+            since = now if self.known_ns[k] == NEVER else self.known_ns[k]
+            self.known_ns[k] = since if self.known[k] else NEVER
+            self.unknown_s[k] = 0.0 if self.known[k] else self.unknown_s[k] + self.tick_s
         lib.debounce(
             pointer("struct flag", self.flag), self._of_all(alone, each),
             self.rules.timing + lib.FLAG_ADHESION, self.rules.tick_ns, now,

@@ -66,6 +66,7 @@ MOTION_HELD_NS: Final[Nanos] = 100 * MS
 SPEED_MOVED: Final = 0.03
 SPEED_MOVED_RAD_S: Final = 1.0
 COMMAND_MOVED: Final = 0.15
+OWN_SIGMAS: Final = 4.0
 """What others must have changed by: a rotor's speed, or the command per unit of rated torque."""
 
 
@@ -90,7 +91,7 @@ class Plausibility(NamedTuple):
     not fit; off_ns (N,): since when the angle does not.
 
     Of `Motion`: speed, torque (N,) as last sent, changed_ns (N,) when they last changed, and what
-    was so then: own, command (N,), others (N, N) speeds.
+    was so then: command (N,), others (N, N) speeds.
     """
 
     vector: Array
@@ -114,7 +115,6 @@ class Plausibility(NamedTuple):
     speed: Array
     torque: Array
     changed_ns: Ints
-    own: Array
     command: Array
     others: Array
 
@@ -153,7 +153,7 @@ def start(n: int, doubt_ns: Ints) -> Plausibility:
         base=np.zeros(n, dtype=np.complex128), learnt=zero(),
         deviation=np.zeros(n), off=zero(), torque_off=zero(), excess=zero(), load_off=zero(),
         motion_held=zero(), off_ns=zero(), angle_ns=zero(), speed=none(),
-        torque=none(), changed_ns=zero(), own=none(), command=none(),
+        torque=none(), changed_ns=zero(), command=none(),
         others=np.full((n, n), np.nan),
     )  # fmt: skip
 
@@ -363,13 +363,13 @@ def _moved(now: float, before: float) -> bool:
 
 
 def _motion_held(
-    k: int, now: int, measured: Array, slow: SlowState, own: float, check: Plausibility,
-    rated_nm: float,
+    k: int, now: int, measured: Array, slow: SlowState, own: float, sigma: float,
+    check: Plausibility, rated_nm: float,
 ) -> bool:  # fmt: skip
     """Whether `Motion` of drive k stands still while something that it must follow has changed."""
     if now - check.changed_ns[k] <= MOTION_HELD_NS or math.isnan(measured[k]):
         return False
-    if _moved(own, check.own[k]) or _moved(own, measured[k]):
+    if _moved(own, measured[k]) and abs(own - measured[k]) > OWN_SIGMAS * sigma:
         return True
     if abs(slow.command[k] - check.command[k]) > COMMAND_MOVED * rated_nm and (
         now - slow.command_ns[k] > MOTION_HELD_NS
@@ -387,7 +387,7 @@ def _motion_held(
 
 
 def _note_motion(
-    r: int, readings: Readings, measured: Array, slow: SlowState, own: float, check: Plausibility
+    r: int, readings: Readings, measured: Array, slow: SlowState, check: Plausibility
 ) -> None:
     """Whether `Motion` has changed, and what was so when it did."""
     k, speed, torque = readings.drive[r], readings.speed[r], readings.torque[r]
@@ -395,7 +395,7 @@ def _note_motion(
         return
     check.speed[k], check.torque[k] = speed, torque
     check.changed_ns[k] = readings.t_ns[r]
-    check.own[k], check.command[k] = own, slow.command[k]
+    check.command[k] = slow.command[k]
     for j in range(measured.shape[0]):
         check.others[k, j] = measured[j]
 
@@ -448,8 +448,9 @@ def check_values(
             check, limits,
         )  # fmt: skip
         own = _own_speed(k, measured, filters, told, limits)
-        _note_motion(r, readings, measured, slow, own, check)
-        held = _motion_held(k, now, measured, slow, own, check, limits.rated_nm[k])
+        _note_motion(r, readings, measured, slow, check)
+        sigma = math.sqrt(filters.P[k, _W_E, _W_E]) / limits.pole_pairs[k]
+        held = _motion_held(k, now, measured, slow, own, sigma, check, limits.rated_nm[k])
         _count(held, 0, IN_A_ROW, check.motion_held, k, now, check)
         load = told.load[k] if _tracks(k, measured, told, limits) else math.nan
         off = _load_off(k, load, motion, limits.settled_readings, limits.rated_nm[k])

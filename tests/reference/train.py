@@ -297,6 +297,17 @@ def _learn_diameters(tick_s: float, flag: Ints, operating: Flags, train: Train) 
         train.diameter[k] += tick_s / tau * (wanted - train.diameter[k])
 
 
+def _others_slide(k: int, flag: Ints, train: Train) -> bool:
+    """Whether of drive k's motor all others, one at least, have run away and are flagged for it."""
+    others = [
+        j for j in np.flatnonzero(train.motor == train.motor[k])
+        if j != k and not math.isnan(train.speed[j])
+    ]  # fmt: skip
+    return not train.away[k] and bool(others) and all(
+        train.away[j] and flag[j] == Flag.BAD for j in others
+    )  # fmt: skip
+
+
 def _compare_speeds(
     tick_s: float, braking: bool, effort: float, flag: Ints, operating: Flags, train: Train
 ) -> None:
@@ -329,6 +340,7 @@ def _compare_speeds(
         memory.sliding[k] = turned and memory.sliding_s[k] > train_speed.SLIDING_S
     for k in range(flag.shape[0]):
         stays = _stays(k, tick_s, train)
+        train.far[k] = train.far[k] and not _others_slide(k, flag, train)
         train.uncertain[k] = train.uncertain[k] or (train.far[k] and not stays)
         slip = memory.slip[k]
         if math.isnan(train.creep[k]) and math.isnan(slip):

@@ -275,8 +275,8 @@ def test_of_every_drive_the_speeds_are_kept_that_were_measured_when_its_motion_c
         assert (others[-1], taken[-1]) == (-7.0, 9)
 
 
-def test_a_command_that_stays_and_a_rotor_that_turned_otherwise_then():
-    """The same command for long is none to follow; the own speed has come to what Motion tells."""
+def test_a_command_that_stays_and_a_speed_that_has_come_to_that_of_motion_are_no_contradiction():
+    """A filter that has just started may have been wrong when Motion last changed."""
     motion = side()
     motion.came.drives["command"] = 20.0
     assert held(motion, 40, [], known=False) is None
@@ -284,7 +284,17 @@ def test_a_command_that_stays_and_a_rotor_that_turned_otherwise_then():
     assert held(motion, 1, [], (5.5, 20.0)) is None
     motion.bank.filters["x"][:, 2] = 4.0 * 5.5
     motion.checks["changed_ns"] -= 200 * MS
-    assert held(motion, 3, [], (5.5, 20.0)) == 3
+    assert held(motion, 40, [], (5.5, 20.0)) is None
+
+
+@pytest.mark.parametrize(("sigma_rad_s", "wanted"), [(0.49, 14), (0.51, None)])
+def test_a_speed_within_four_standard_deviations_of_motion_does_not_contradict_it(
+    sigma_rad_s, wanted
+):
+    motion = side()
+    motion.bank.filters["x"][:, 2] = 4.0 * 7.0
+    motion.bank.filters["P"][:, 2, 2] = (4.0 * sigma_rad_s) ** 2
+    assert held(motion, 40, [], (5.0, 20.0)) == wanted
 
 
 @pytest.mark.parametrize(("ahead_ns", "starts", "again"), [

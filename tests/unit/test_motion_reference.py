@@ -28,7 +28,7 @@ FIELDS = {
     "torque_misfits": "torque_off", "excess_misfits": "excess", "load_misfits": "load_off",
     "motion_misfits": "motion_held",
     "angle_fitted_ns": "off_ns", "angle_ns": "angle_ns", "speed": "speed", "torque": "torque",
-    "changed_ns": "changed_ns", "own_speed": "own", "command": "command",
+    "changed_ns": "changed_ns", "command": "command",
 }  # fmt: skip
 """Field of `struct plausibility`: of the reference."""
 MOTION = {

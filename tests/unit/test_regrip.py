@@ -1,4 +1,4 @@
-"""A wheel that has gripped again beside a drive that still holds its torque back."""
+"""Wheels that grip again: beside drives that hold their torque back, and with large inertia."""
 
 import pytest
 
@@ -13,3 +13,17 @@ def test_torque_that_a_drive_takes_back_after_a_regrip_is_no_new_loss(seed):
     assert run.flags.losses
     assert not run.flags.missed
     assert run.flags.alarms == 0
+
+
+@pytest.mark.parametrize(("world", "family", "seed", "f1", "adhering"), [
+    ("ours", "rough", 310, 0.95, 0.99),  # not known for one tick, just when its load is lost
+    ("ours", "healthy_rough", 306, 1.0, 0.99),  # Motion that is constant beside noisy currents
+    ("roller", "roller", 304, 0.95, 0.97),  # half a second with twice the load of the others
+    ("roller", "roller_two", 303, 0.85, 0.85),  # the other of two drives is no measure any more
+])  # fmt: skip
+def test_wheels_with_the_inertia_of_a_locomotive(world, family, seed, f1, adhering):
+    plan = Plan((family,), ("switching",), (seed,), motor="traction_350kw", world=world)
+    (run,) = one_run(plan, family, seed)
+    assert run.flags.f1 >= f1
+    assert run.flags.good_share >= adhering
+    assert (run.flags.missed, run.flags.dangerous) == (0, 0)
