@@ -1509,7 +1509,7 @@ struct drive_load {
     double last_spin_up; /* torque that accelerated the rotor in the tick before */
     double regripped_s;  /* s left in which its own slip control may hold it back; 0: none */
     int64_t flagged_ns;  /* stamp of the last tick with a bad adhesion flag; NO_TIME: none */
-    double unknown_s; /* s for which its load was not known, up to the tick before; 0: it was */
+    double unknown_s;    /* s for which its load was not known, up to the tick before; 0: it was */
     int64_t known_since_ns;  /* stamp since which its load is known; NO_TIME: not known */
     uint8_t derating_active; /* 1: its flag is bad, or was just now: it reduces its torque */
     uint8_t response_valid;  /* 1: `p_response` is valid */

@@ -211,8 +211,8 @@ static double held_back(struct adhesion *a, int k, double p, int bad, uint8_t un
     return clears ? 0.0 : UNDECIDED;
 }
 
-/* 1 if a lost wheel has gripped just now: it turns with the others and carries at least the demand, or
- * more than any comparison explains: it gives back what it gained in speed. */
+/* 1 if a lost wheel has gripped just now: it turns with the others and carries at least the demand.
+ * If that is more than any comparison explains, it gives back what it gained in speed. */
 static int has_gripped(const struct adhesion *a, int k, int bad)
 {
     const struct rotor *r = &a->rotors[k];
@@ -225,8 +225,8 @@ static int has_gripped(const struct adhesion *a, int k, int bad)
     const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
     const int neither = a->known[k] && adhering < GRIPS && lost <= DOUBTED;
     const double load = copysign(1.0, a->common) * mine->load / mine->command_ratio;
-    const double demand = fabs(a->common);
-    return (neither || r->above) && demand >= LITTLE && load >= demand;
+    const int carries = load >= larger(LITTLE, fabs(a->common));
+    return carries && (neither || r->above);
 }
 
 /* Judge a drive as one that adheres. */

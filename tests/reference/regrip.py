@@ -32,7 +32,7 @@ def grips(
     command, NaN without.
     """
     turns = abs(rotor["creep"]) <= NEAR and not (rotor["away"] or rotor["apart"])
-    carries = load * math.copysign(1.0, demand) >= abs(demand) >= LITTLE
+    carries = load * math.copysign(1.0, demand) >= max(abs(demand), LITTLE)
     unlike = adhering < LEAST_GRIP and lost <= MOST_LOSS
     return bool(turns and carries and not answers > MOST_LOSS and (unlike or rotor["above"]))
 
