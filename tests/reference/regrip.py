@@ -35,4 +35,3 @@ def grips(
     carries = load * math.copysign(1.0, demand) >= max(abs(demand), LITTLE)
     unlike = adhering < LEAST_GRIP and lost <= MOST_LOSS
     return bool(turns and carries and not answers > MOST_LOSS and (unlike or rotor["above"]))
-
