@@ -129,6 +129,7 @@ class Both:
         same_numbers(told.estimates, again.estimates)
         if plain.model is not None:
             same_numbers(core.switching.loads, plain.model.loads)
+            same_numbers(core.loads["regripped_s"], plain.held_s)
         for mine, wanted in (
             (core.rotors, plain.rotors), (core.rotor_inputs, plain.inputs),
             (core.responses, plain.responses), (core.ratios, plain.differences.drives),
@@ -139,6 +140,8 @@ class Both:
             (core.known, plain.known), (core.loss_probability, plain.lost),
             (core.loss_known, plain.lost_known), (core.severe, plain.severe),
             (core.loads["command_ratio"], plain.ratio),
+            (core.loads["unknown_s"], plain.unknown_s),
+            (core.loads["known_since_ns"], plain.known_ns),
             (core.record["flagged_ns"], plain.any_flagged_ns),
         ):  # fmt: skip
             same_numbers(mine, wanted)
@@ -226,6 +229,31 @@ def test_any_verdict_of_the_model_with_a_memory():
         opinion = both.tick(columns.told(N), given, tick * TICK, True)
         met |= set(both.decide(opinion, tick * TICK)[0])
     assert met == set(Flag)
+
+
+def test_wheels_that_grip_again_and_drives_that_are_known_again():
+    """Drives that are not known for 0.09 to 0.2 s, and loads that are like no others'."""
+    rng, both, cleared = np.random.default_rng(8), Both([BENCH_MOTOR] * N, detector="switching"), 0
+    models = both.core.switching, both.plain.model
+    for model in models:
+        model.record["ticks"], model.record["every"] = 1, 2**30
+    gap = np.zeros(N, dtype=int)
+    for tick, given in enumerate(train_that_drives(rng, N, 2400)):
+        if tick % 5 == 0:
+            lost = rng.choice([0.0, 0.05, 0.1, 0.5, 0.99, 1.0], N)
+            adhering = np.minimum(rng.choice([0.0, 0.4, 0.5, 0.9, 1.0], N), 1.0 - lost)
+            demand = rng.choice([0.05, 0.1, 0.3, 0.6, 0.6, 0.9, -0.3])
+        for model in models:
+            model.lost[:], model.adhering[:], model.record["demand"] = lost, adhering, demand
+        gap = np.where((gap == 0) & (rng.random(N) < 0.02), rng.integers(9, 20, N), gap)
+        gap = np.maximum(gap - 1, 0)
+        health = np.where(gap > 0, Health.CONVERGING, given[0])
+        flag = both.status["flag"][:, FlagKind.ADHESION]["state"].copy()
+        opinion = both.tick(columns.told(N), (health, *given[1:]), tick * TICK, True)
+        unlike = (adhering < 0.5) & (lost <= 0.1) & (flag == Flag.BAD)
+        cleared += int((unlike & opinion.known & (opinion.lost == 0.0)).sum())
+        both.decide(opinion, tick * TICK)
+    assert cleared > 5
 
 
 def test_one_drive_alone_is_lost_by_its_command():
