@@ -22,7 +22,8 @@ test: $(VENV)/.ready
 
 # Before a release: all tests, those that are marked thorough too (more seeds, more sizes, more faults of
 # the same kinds); the golden logs on other processors (qemu-user), 500 logs and 200 configurations with
-# accidents, and the whole test suite on a core with the sanitizers in it. The commit that passes is kept.
+# accidents, and the whole test suite on a core with the sanitizers in it, but the mutants, which build
+# cores of their own. The commit that passes is kept.
 PASSED := tests/test-all.passed
 test-all: $(VENV)/.ready
 	git diff --quiet HEAD || { echo "commit first: what passes is written down by commit"; exit 1; }
@@ -32,7 +33,8 @@ test-all: $(VENV)/.ready
 	$(PIP) --require-hashes -r requirements-compiler.lock
 	$(BIN)/python -m tests.other_processors
 	$(BIN)/python -m tests.foreign.mutated --logs 500 --configurations 200
-	$(BIN)/python -m tests.core_variants sanitize -n auto --dist worksteal --ignore=tests/hil --ignore=tests/web tests
+	$(BIN)/python -m tests.core_variants sanitize -n auto --dist worksteal --timeout=3600 --ignore=tests/hil \
+		--ignore=tests/web --ignore=tests/mutation tests
 	$(MAKE) fuzz-tick
 	git log -1 --format="%H %cI" > $(PASSED)
 
