@@ -181,17 +181,23 @@ static int is_known_again(const struct adhesion *a, int k, int bad)
     return a->known[k] && a->loads[k].unknown_s >= UNSEEN_S && learnt && !bad;
 }
 
-/* Update the time for which its own slip control may hold back drive k. p: its verdict. */
-static void follow_regrip(struct adhesion *a, int k, double p, int bad)
+/* 1 if drive k adheres by the comparison and by its verdict p. */
+static int carries(const struct adhesion *a, int k, double p)
+{
+    const int adheres = a->known[k] && a->switching->adhering[k] >= GRIPS;
+    return adheres && p <= a->rules->clear_probability;
+}
+
+/* Update the time for which its own slip control may hold back drive k. grips: 1 if it adheres. */
+static void follow_regrip(struct adhesion *a, int k, int grips, int bad)
 {
     double *left_s = &a->loads[k].regripped_s;
     const struct rotor *r = &a->rotors[k];
     const double adhering = a->known[k] ? a->switching->adhering[k] : 0.0;
     const double slip = a->common < 0.0 ? -r->creep : r->creep;
     const double times = adhering >= BACK ? HELD_BACK_S / LOAD_BACK_S : 1.0;
-    const int carries = adhering >= GRIPS && p <= a->rules->clear_probability;
     const int returns = bad || (r->apart && *left_s > 0.0);
-    if (is_known_again(a, k, bad) || (carries && returns))
+    if (is_known_again(a, k, bad) || (grips && returns))
         *left_s = HELD_BACK_S;
     else if (r->away || !(slip <= SLIDES))
         *left_s = 0.0;
@@ -225,8 +231,8 @@ static int has_gripped(const struct adhesion *a, int k, int bad)
     const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
     const int neither = a->known[k] && adhering < GRIPS && lost <= DOUBTED;
     const double load = copysign(1.0, a->common) * mine->load / mine->command_ratio;
-    const int carries = load >= larger(LITTLE, fabs(a->common));
-    return carries && (neither || r->above);
+    const int enough = load >= larger(LITTLE, fabs(a->common));
+    return enough && (neither || r->above);
 }
 
 /* Judge a drive as one that adheres. */
@@ -251,12 +257,12 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
         }
         if (has_gripped(a, k, bad)) {
             clear_loss(a, k);
-            a->loads[k].regripped_s = HELD_BACK_S;
+            follow_regrip(a, k, 1, bad);
             continue;
         }
         const uint8_t uncertain = r->uncertain;
         double p = verdict(a, k, all, any, bad, &r->uncertain);
-        follow_regrip(a, k, p, bad);
+        follow_regrip(a, k, carries(a, k, p), bad);
         p = held_back(a, k, p, bad, uncertain);
         a->loss_known[k] = (uint8_t)is_comparable(a, k, all, little);
         /* A drive that carries more than it is asked for is not lost either. */

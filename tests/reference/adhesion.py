@@ -237,7 +237,8 @@ class Adhesion:
                 rotor, *own, alone[k] if valid[k] else math.nan
             )
             if rolls or grips:
-                self.held_s[k] = self.held_s[k] if rolls else 2.0
+                if not rolls:
+                    self._regrip(k, True, adhering[k] * self.known[k], flag[k] == Flag.BAD)
                 self.lost.append(0.0)
                 self.lost_known.append(True)
                 self.severe.append(False)
@@ -257,7 +258,9 @@ class Adhesion:
                     rotor["uncertain"] = 1
             elif is_asked and not valid[k] and not rotor["away"]:
                 p = lib.UNDECIDED
-            p = self._held_back(k, p, adhering[k] * self.known[k], flag[k] == Flag.BAD, uncertain)
+            holds, low = adhering[k] * self.known[k], p <= self.rules.clear_probability
+            self._regrip(k, low and holds >= 0.5, holds, flag[k] == Flag.BAD)
+            p = self._held_back(k, p, flag[k] == Flag.BAD, uncertain)
             said = self.known[k] and (compared[k] or is_asked)
             slow = not (valid[k] and alone[k] > 0.5) and not abs(self.smoothed) >= ACCUSING_LOAD
             bare = (usable[k] and not is_asked) or ((little or slow) and everyone == 0.0)
@@ -267,18 +270,16 @@ class Adhesion:
             self.severe.append(bool(self.known[k] and p >= 0.99))
         self.alone, self.each = alone, each
 
-    def _held_back(self, k: int, p: float, grips: float, bad: bool, uncertain: int) -> float:
+    def _regrip(self, k: int, grips: bool, holds: float, bad: bool) -> None:
+        """For how long what drive k lacks may be its own slip control's."""
+        gap = self.known[k] and self.unknown_s[k] >= 0.1 and not bad
+        self.held_s[k] = regrip.held_back_s(
+            self.rotors[k], self.held_s[k], self.common, gap, grips, holds, bad, self.tick_s
+        )
+
+    def _held_back(self, k: int, p: float, bad: bool, uncertain: int) -> float:
         """What a drive lacks after a regrip, or when it is known again, accuses nobody."""
         rotor, low = self.rotors[k], self.rules.clear_probability
-        slip = math.copysign(1.0, self.common or 1.0) * rotor["creep"]
-        again = self.known[k] and self.unknown_s[k] >= 0.1 and rotor["learnt_s"] >= 0.5
-        back = bad or (rotor["apart"] and self.held_s[k] > 0.0)
-        if (again and not bad) or (back and p <= low and grips >= 0.5):
-            self.held_s[k] = 2.0
-        elif rotor["away"] or not slip <= 0.05:
-            self.held_s[k] = 0.0
-        else:
-            self.held_s[k] = max(0.0, self.held_s[k] - (20 if grips >= 0.9 else 1) * self.tick_s)
         if self.held_s[k] == 0.0 or rotor["away"] or p <= low:
             return p
         clears = bad and rotor["apart"]

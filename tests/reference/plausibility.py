@@ -66,8 +66,9 @@ MOTION_HELD_NS: Final[Nanos] = 100 * MS
 SPEED_MOVED: Final = 0.03
 SPEED_MOVED_RAD_S: Final = 1.0
 COMMAND_MOVED: Final = 0.15
-OWN_SIGMAS: Final = 4.0
 """What others must have changed by: a rotor's speed, or the command per unit of rated torque."""
+OWN_SIGMAS: Final = 4.0
+"""Least difference of the speed by the currents from that of `Motion`, in its own deviations."""
 
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """When the comparison of loads has nothing to say: wheels that roll, and wheels that grip again.
 
-As `rolls` and `has_gripped` in `switching_loss.c`.
+As `rolls`, `has_gripped` and `follow_regrip` in `switching_loss.c`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,12 @@ LITTLE: Final = 0.1
 STEADY: Final = 0.02
 LEAST_GRIP: Final = 0.5
 MOST_LOSS: Final = 0.1
+ROUGH_S: Final = 0.5
+HELD_BACK_S: Final = 2.0
+SLIDES: Final = 0.05
+BACK: Final = 0.9
+FASTER: Final = 20
+"""So much sooner it ends while the load is back."""
 
 
 def rolls(rotor: Any, load: float) -> bool:
@@ -35,3 +41,20 @@ def grips(
     carries = load * math.copysign(1.0, demand) >= max(abs(demand), LITTLE)
     unlike = adhering < LEAST_GRIP and lost <= MOST_LOSS
     return bool(turns and carries and not answers > MOST_LOSS and (unlike or rotor["above"]))
+
+
+def held_back_s(
+    rotor: Any, before: float, demand: float, gap: bool, grips: bool, holds: float, bad: bool,
+    tick_s: float,
+) -> float:  # fmt: skip
+    """Time left, s, in which what a drive lacks may be what its own slip control holds back.
+
+    before: the same a tick ago; gap: its load was not known for long, and now is; grips: it adheres
+    by all that is known; holds: probability that it does, by its load; bad: it is flagged.
+    """
+    known_again = gap and rotor["learnt_s"] >= ROUGH_S
+    if known_again or (grips and (bad or (rotor["apart"] and before > 0.0))):
+        return HELD_BACK_S
+    if rotor["away"] or not math.copysign(1.0, demand or 1.0) * rotor["creep"] <= SLIDES:
+        return 0.0
+    return max(0.0, before - (FASTER if holds >= BACK else 1) * tick_s)
