@@ -8,8 +8,7 @@
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
  * condition is written so that false, the result of every comparison with NaN, is the safe answer.
- * The divisor is a number of pole pairs; the root is that of a variance of a finite filter; stamps
- * are between 0 and now. */
+ * The divisor is a number of pole pairs; no variance is negative; stamps are between 0 and now. */
 #include "gateway/core/plausibility.h"
 
 #include <math.h>
