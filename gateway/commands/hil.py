@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
-    parser.add_argument("scenario", nargs="*", help="scenario files, or names of shipped ones")
+    parser.add_argument("scenario", nargs="*", help="scenario files, or names of shipped ones; "
+                        "--mutate: also tests for pytest")  # fmt: skip
     add_config(parser)
     add_signature(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="verdicts as JUnit XML")
@@ -51,6 +52,11 @@ def run(options: argparse.Namespace) -> int:
         return hil_slip.run(options)
     if not options.scenario:
         raise ScenarioError("hil", ["no scenario: name one, such as `hil wet_one`"])
+    if any(hil_mutate.is_tests(name) for name in options.scenario):
+        if options.mutate is None:
+            cure = "run tests with `pytest`; `hil --mutate N` runs them with faulty gateways"
+            raise ScenarioError("hil", [cure])
+        return hil_mutate.run_tests(options)
     scenarios = [(name, find(name)) for name in options.scenario]
     for name, scenario in scenarios:
         if not scenario.expect:

@@ -1,9 +1,10 @@
-"""`hil --mutate N`: count how many faulty gateways these scenarios would notice."""
+"""`hil --mutate N`: count how many faulty gateways these scenarios or tests would notice."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.commands.common import FAILED, GOOD
@@ -34,24 +35,63 @@ def run(options: argparse.Namespace, scenarios: list[tuple[str, Scenario]]) -> i
     from gateway.hil.mutants import mutants
     from gateway.hil.mutating import judged
 
-    bus = [name for name in ("interface", "channel") if hasattr(options, name)]
-    if bus or options.mutate < 1:
-        raise ConfigError("--mutate", ["needs N of at least 1, and no bus: it has a virtual clock"])
+    _refuse(options)
     suite = list(_recorded(options, scenarios))
     failing = [run.name for run in suite if not run.passed]
     if failing:
         print(f"FAIL without a mutant: {', '.join(failing)}")
         return FAILED
     chosen = mutants(options.mutate, options.mutate_seed)
-    if len(chosen) < options.mutate:
-        note(f"there are {len(chosen)} different mutants")
     results = [judged(one, suite) for one in track(chosen, "mutants", len(chosen))]
+    return _printed(options, results, {name for name, _ in scenarios})
+
+
+def run_tests(options: argparse.Namespace) -> int:
+    """As `run`, for test files and folders that pytest runs, once for each mutant.
+
+    Exit 1 if pytest fails without a mutant. Raises ConfigError if it finds no test.
+    """
+    from gateway.hil.mutants import mutants
+    from gateway.hil.mutating import Result, judged_by_tests
+
+    _refuse(options)
+    if options.config is not None:
+        why = "-c is for scenarios; a test names its own: @pytest.mark.hil(config=..)"
+        raise ConfigError("--mutate", [why])
+    if failing := judged_by_tests(options.scenario):
+        print(f"FAIL without a mutant: {failing}")
+        return FAILED
+    results = []
+    chosen = mutants(options.mutate, options.mutate_seed)
+    for number, mutant in enumerate(track(chosen, "mutants", len(chosen)), 1):
+        word = f"{number}:{options.mutate_seed}"
+        results.append(Result(mutant, judged_by_tests(options.scenario, word), alters=True))
+    return _printed(options, results, set())
+
+
+def is_tests(name: str) -> bool:
+    """Whether this is a folder or a file of tests in Python, and no scenario."""
+    path = Path(name.partition("::")[0])
+    return path.is_dir() or path.suffix == ".py"
+
+
+def _refuse(options: argparse.Namespace) -> None:
+    """Raise ConfigError for options that do not go together with mutants."""
+    bus = [name for name in ("interface", "channel") if hasattr(options, name)]
+    if bus or options.mutate < 1:
+        raise ConfigError("--mutate", ["needs N of at least 1, and no bus: it has a virtual clock"])
+
+
+def _printed(options: argparse.Namespace, results: list[Result], known: set[str]) -> int:
+    """Print the result for each mutant, and cures; return the exit code."""
+    if len(results) < options.mutate:
+        note(f"there are {len(results)} different mutants")
     for result in results:
         print(f"{_word(result):12} {result.mutant.text}")
     missed = [result for result in results if result.noticed_by is None]
     share = 100.0 * (1.0 - len(missed) / len(results))
     print(f"{len(results) - len(missed)} of {len(results)} mutants noticed ({share:.0f} %)")
-    for line in _cures(options, missed, {name for name, _ in scenarios}):
+    for line in _cures(options, missed, known):
         print(line)
     return FAILED if options.expect_noticed is not None and share < options.expect_noticed else GOOD
 

@@ -1,15 +1,16 @@
 """Gateways with a fault, to test whether a test suite detects it.
 
-A mutant alters the recorded flag frames. Their checksum is computed again and their counter kept,
-so that nothing is wrong but the mutant's fault. In the run, the drives received the original
-frames.
+A mutant alters the flag frames one by one, or changes the gateway's settings. The checksum of an
+altered frame is computed again and its counter kept, so that nothing is wrong but the mutant's
+fault.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import count
 from typing import Final, NamedTuple
 
 from dbc.codec import Codec
@@ -17,8 +18,11 @@ from dbc.e2e import counter_of, protect
 from dbc.frame import MS, SECOND, Frame, Nanos
 from dbc.spec import MessageSpec, Validity
 from gateway.core.codes import Flag
+from gateway.settings.config import Config
 
 FLAG_MESSAGES: Final = ("Gateway_Adhesion", "Gateway_Faults")
+DRAWS: Final = 10_000
+"""After so many draws all mutants are found."""
 
 
 class Sent(NamedTuple):
@@ -37,15 +41,49 @@ class Sent(NamedTuple):
         return self._replace(values={**self.values, **own})
 
 
-Alter = Callable[[list[Sent], Sequence[int]], list[Sent]]
-"""(frames of a run in order, node numbers) -> frames on the bus instead."""
+Step = Callable[[Sent], Iterable[Sent]]
+"""A frame -> the frames on the bus instead; called in the order of the frames."""
+Alter = Callable[[Sequence[int]], Step]
+"""Node numbers -> the step of a run that begins."""
+
+
+def _keep(_nodes: Sequence[int]) -> Step:
+    return lambda one: (one,)
 
 
 class Mutant(NamedTuple):
-    """A fault in words, and the function that makes it."""
+    """A fault in words, and the function that makes it.
+
+    settings: changes the configuration of the gateway; None: it is kept.
+    """
 
     text: str
-    alter: Alter
+    alter: Alter = _keep
+    settings: Callable[[Config], Config] | None = None
+
+
+class Altered:
+    """The frames that a gateway with this fault sends, tick by tick."""
+
+    def __init__(self, mutant: Mutant, codec: Codec, nodes: Sequence[int]) -> None:
+        """nodes: node numbers of the drives, in the order of the configuration."""
+        self._codec, self._step = codec, mutant.alter(nodes)
+        self._later: list[Sent] = []
+
+    def __call__(self, frames: Sequence[Frame], now: Nanos) -> list[Frame]:
+        """Frames on the bus until `now` instead of these; all but flag frames are kept."""
+        own = {spec.can_id for spec in self._codec.messages if spec.name in FLAG_MESSAGES}
+        flags = decoded(self._codec, frames)
+        waiting = [*self._later, *(new for one in flags for new in self._step(one))]
+        self._later = [one for one in waiting if one.t_ns > now]
+        due = [one for one in waiting if one.t_ns <= now]
+        return [f for f in frames if f.can_id not in own] + encoded(self._codec, due)
+
+
+def altered(mutant: Mutant, sent: Iterable[Sent], nodes: Sequence[int]) -> list[Sent]:
+    """The frames of a whole run, altered."""
+    step = mutant.alter(nodes)
+    return [new for one in sent for new in step(one)]
 
 
 def decoded(codec: Codec, frames: Sequence[Frame]) -> list[Sent]:
@@ -73,12 +111,12 @@ def encoded(codec: Codec, sent: Sequence[Sent]) -> list[Frame]:
     return frames
 
 
-def mutants(count: int, seed: int) -> list[Mutant]:
-    """`count` different mutants drawn by seed, fewer if no more are found."""
+def mutants(number: int, seed: int) -> list[Mutant]:
+    """`number` different mutants drawn by seed, fewer if no more are found."""
     rng = random.Random(seed)  # noqa: S311 a choice of tests
     found: dict[str, Mutant] = {}
-    for _ in range(100 * count):
-        if len(found) == count:
+    for _ in range(DRAWS):
+        if len(found) == number:
             break
         mutant = rng.choice(KINDS)(rng)
         found.setdefault(mutant.text, mutant)
@@ -86,7 +124,7 @@ def mutants(count: int, seed: int) -> list[Mutant]:
 
 
 def _each(change: Callable[[Sent, Sequence[int]], Sent]) -> Alter:
-    return lambda sent, nodes: [change(one, nodes) for one in sent]
+    return lambda nodes: lambda one: (change(one, nodes),)
 
 
 def _flag(rng: random.Random) -> tuple[str, int]:
@@ -112,12 +150,15 @@ def _instead(rng: random.Random, what: str, old: Flag, new: Flag) -> Mutant:
 def _stuck(rng: random.Random) -> Mutant:
     kind, place = _flag(rng)
 
-    def alter(sent: list[Sent], nodes: Sequence[int]) -> list[Sent]:
-        name, first, out = f"{kind}{_node(nodes, place)}", None, []
-        for one in sent:
+    def alter(nodes: Sequence[int]) -> Step:
+        name, first = f"{kind}{_node(nodes, place)}", None
+
+        def step(one: Sent) -> list[Sent]:
+            nonlocal first
             first = one.values.get(name, first) if first in (None, Flag.UNKNOWN) else first
-            out.append(one if first is None else one.having(**{name: int(first)}))
-        return out
+            return [one if first is None else one.having(**{name: int(first)})]
+
+        return step
 
     return Mutant(f"{kind.lower()} of drive {place + 1} stays what it was at first", alter)
 
@@ -125,12 +166,15 @@ def _stuck(rng: random.Random) -> Mutant:
 def _held(rng: random.Random) -> Mutant:
     kind, place = _flag(rng)
 
-    def alter(sent: list[Sent], nodes: Sequence[int]) -> list[Sent]:
-        name, bad, out = f"{kind}{_node(nodes, place)}", False, []
-        for one in sent:
+    def alter(nodes: Sequence[int]) -> Step:
+        name, bad = f"{kind}{_node(nodes, place)}", False
+
+        def step(one: Sent) -> list[Sent]:
+            nonlocal bad
             bad = bad or one.values.get(name) == Flag.BAD
-            out.append(one.having(**{name: Flag.BAD}) if bad else one)
-        return out
+            return [one.having(**{name: Flag.BAD}) if bad else one]
+
+        return step
 
     return Mutant(f"{kind.lower()} of drive {place + 1} stays bad for ever", alter)
 
@@ -164,12 +208,9 @@ def _flicker(rng: random.Random) -> Mutant:
     kind, place = _flag(rng)
     every = rng.choice((50, 100, 200))
 
-    def alter(sent: list[Sent], nodes: Sequence[int]) -> list[Sent]:
-        name = f"{kind}{_node(nodes, place)}"
-        return [
-            one.having(**{name: Flag.BAD}) if k % every == every - 1 else one
-            for k, one in enumerate(sent)
-        ]
+    def alter(nodes: Sequence[int]) -> Step:
+        name, number = f"{kind}{_node(nodes, place)}", count(1)
+        return lambda one: [one.having(**{name: Flag.BAD}) if next(number) % every == 0 else one]
 
     return Mutant(f"{kind.lower()} of drive {place + 1} is bad once in {every} frames", alter)
 
@@ -209,17 +250,35 @@ def _silent(rng: random.Random) -> Mutant:
     from_s = rng.choice((0.5, 1.0, 2.0, 3.0))
     return Mutant(
         f"silent from {from_s:g} s on",
-        lambda sent, _: [one for one in sent if one.t_ns < from_s * SECOND],
+        lambda _nodes: lambda one: [one] if one.t_ns < from_s * SECOND else [],
     )
 
 
 def _lost(rng: random.Random) -> Mutant:
     every = rng.choice((100, 10))
 
-    def alter(sent: list[Sent], _nodes: Sequence[int]) -> list[Sent]:
-        return [one for k, one in enumerate(sent) if k % every != every - 1]
+    def alter(_nodes: Sequence[int]) -> Step:
+        number = count(1)
+        return lambda one: [one] if next(number) % every else []
 
     return Mutant(f"one flag frame in {every} lost", alter)
+
+
+def _thresholds(rng: random.Random) -> Mutant:
+    """A gateway that waits longer than its settings say; the least time is one tick."""
+    times = rng.choice((2, 5, 10))
+    section, keys, text = rng.choice((
+        ("adhesion", ("raise_ms", "raise_severe_ms"), "loss of adhesion is raised after"),
+        ("adhesion", ("clear_ms", "good_ms"), "adhesion is good again after"),
+        ("thermal", ("raise_s", "clear_s"), "thermal fault is raised and cleared after"),
+    ))  # fmt: skip
+
+    def settings(config: Config) -> Config:
+        part, least = getattr(config, section), config.loop.period_ns // MS * keys[0].endswith("ms")
+        longer = {key: times * max(getattr(part, key), least) for key in keys}
+        return config.model_copy(update={section: part.model_copy(update=longer)})
+
+    return Mutant(f"{text} {times} times the time", settings=settings)
 
 
 KINDS: Final[tuple[Callable[[random.Random], Mutant], ...]] = (
@@ -229,5 +288,5 @@ KINDS: Final[tuple[Callable[[random.Random], Mutant], ...]] = (
     partial(_instead, what="is bad where it should be good", old=Flag.GOOD, new=Flag.BAD),
     partial(_instead, what="is unknown where it should be good", old=Flag.GOOD, new=Flag.UNKNOWN),
     _stuck, _held, _swapped, _everyone, _flicker, _of_the_set, _late, _frozen, _corrupted, _silent,
-    _lost,
+    _lost, _thresholds,
 )  # fmt: skip

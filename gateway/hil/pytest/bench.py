@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
@@ -12,10 +12,13 @@ from dbc.codec import Codec
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.hil.pytest.flags import GatewayFlags
 from gateway.hil.pytest.inverter import Inverter
-from gateway.hil.pytest.world import BusWorld, Tick, VirtualWorld, World
+from gateway.hil.pytest.world import Alter, BusWorld, Tick, VirtualWorld, World, unaltered
 from gateway.settings.config import Config
 from sim.scenario import Scenario
 from sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from gateway.hil.mutants import Mutant
 
 KEPT: Final = 2000
 """Frames that are kept for display."""
@@ -35,17 +38,27 @@ class HilBench:
         config: Config,
         codec: Codec,
         bus: Mapping[str, Any] | None = None,
+        mutant: Mutant | None = None,
         *,
         own_gateway: bool = True,
     ) -> None:
-        """bus: python-can's options; None: the virtual clock. Raises ConfigError."""
+        """bus: python-can's options; None: the virtual clock. Raises ConfigError.
+
+        mutant: the gateway has this fault.
+        """
         own = own_gateway or bus is None
+        alter: Alter = unaltered
+        if mutant is not None:
+            from gateway.hil.mutants import Altered
+
+            config = config if mutant.settings is None else mutant.settings(config)
+            alter = Altered(mutant, codec, config.nodes)
         simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=not own)
         self._world: World
         if bus is None:
-            self._world = VirtualWorld(simulation, config, codec)
+            self._world = VirtualWorld(simulation, config, codec, alter)
         else:
-            self._world = BusWorld(simulation, config, codec, bus, own_gateway=own_gateway)
+            self._world = BusWorld(simulation, config, codec, bus, alter, own_gateway=own_gateway)
         self.codec, self.config, self.scenario = codec, config, scenario
         self.nodes = config.nodes[: scenario.drives]
         self.frames: deque[Frame] = deque(maxlen=KEPT)

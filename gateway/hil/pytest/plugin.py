@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from gateway.hil.pytest.options import bus_of, expected_known
+from gateway.hil.pytest.options import bus_of, expected_known, mutant_of
 from gateway.hil.pytest.own_packages import load_hidden
 
 if TYPE_CHECKING:
@@ -44,6 +44,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
                     help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew for "
                          "less of its time; `hil(expect_known=PERCENT)`: of one test")  # fmt: skip
     group.addoption(
+        "--hil-mutant",
+        metavar="NUMBER[:SEED]",
+        help="test a gateway with this fault: that of `traction-gateway hil --mutate`",
+    )
+    group.addoption(
         "--require-socketcan", action="store_true", help="fail where `socketcan` would skip a test"
     )
     parser.addini("hil_scenarios", "file names of scenarios that are tests", type="args",
@@ -57,6 +62,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if bus is None and (config.getoption("--can-channel") or config.getoption("--can-fd")):
         raise pytest.UsageError("--can-channel and --can-fd need --can-interface")
     expected_known(config)
+    mutant_of(config)
     if bus is None and config.getoption("--hil-gateway") == "external":
         raise pytest.UsageError("--hil-gateway external needs a bus: --can-interface")
 
@@ -84,7 +90,7 @@ def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
 
         scenario = with_motor_of(config, scenario)
     bench = HilBench(
-        scenario, config, codec, bus_of(request.config),
+        scenario, config, codec, bus_of(request.config), mutant_of(request.config),
         own_gateway=request.config.getoption("--hil-gateway") == "own",
     )  # fmt: skip
     try:

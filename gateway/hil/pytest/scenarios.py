@@ -9,7 +9,7 @@ import pytest
 
 from gateway.hil.fitting import fitting
 from gateway.hil.pytest.bench import HilBench
-from gateway.hil.pytest.options import bus_of, expected_known
+from gateway.hil.pytest.options import bus_of, expected_known, mutant_of
 from gateway.reports import known
 from gateway.reports.expectations import Verdict
 from sim.scenario import Scenario, ScenarioError, load
@@ -54,7 +54,8 @@ class ScenarioFile(pytest.File):
 
         config, codec = fitting(None, self.scenario)
         own = self.config.getoption("--hil-gateway") == "own"
-        bench = HilBench(self.scenario, config, codec, bus_of(self.config), own_gateway=own)
+        bus, mutant = bus_of(self.config), mutant_of(self.config)
+        bench = HilBench(self.scenario, config, codec, bus, mutant, own_gateway=own)
         pictures: dict[int, str] = {}
         try:
             # The picture of an expectation is taken when its time has passed, not at the end.

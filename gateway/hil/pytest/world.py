@@ -5,7 +5,7 @@ Both return, tick by tick, the frames of the drives and those of the gateway.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from dbc.codec import Codec
@@ -26,6 +26,15 @@ class Tick(NamedTuple):
     now_ns: Nanos
     drives: list[Frame]
     gateway: list[Frame]
+
+
+Alter = Callable[[list[Frame], Nanos], list[Frame]]
+"""(frames that a gateway sends, now) -> the frames on the bus instead."""
+
+
+def unaltered(frames: list[Frame], _now: Nanos) -> list[Frame]:
+    """The gateway as it is."""
+    return frames
 
 
 class World(Protocol):
@@ -49,9 +58,11 @@ class World(Protocol):
 class VirtualWorld:
     """The bench on a virtual clock: as fast as the machine allows, the same on every run."""
 
-    def __init__(self, simulation: Simulation, config: Config, codec: Codec) -> None:
+    def __init__(
+        self, simulation: Simulation, config: Config, codec: Codec, alter: Alter = unaltered
+    ) -> None:
         """Raises ConfigError as `Gateway` does."""
-        self.simulation = simulation
+        self.simulation, self._alter = simulation, alter
         self.period_ns = config.loop.period_ns
         self._core = Gateway(config, codec, 0)
         self._node = CanopenNode(config.nodes, nmt_master=True)
@@ -62,7 +73,7 @@ class VirtualWorld:
         """See World."""
         now, self._now = self._now, self._now + self.period_ns
         came = self.simulation.step(self._sent, now)
-        self._sent = self._core.step(came, now) + self._node.step(came, now)
+        self._sent = self._alter(self._core.step(came, now), now) + self._node.step(came, now)
         return Tick(now, came, self._sent)
 
     def close(self) -> None:
@@ -78,11 +89,15 @@ class BusWorld:
         config: Config,
         codec: Codec,
         bus: Mapping[str, Any],
+        alter: Alter = unaltered,
         *,
         own_gateway: bool = True,
     ) -> None:
-        """bus: python-can's options. Raises ConfigError for a bus that cannot be opened."""
-        self.simulation = simulation
+        """bus: python-can's options. Raises ConfigError for a bus that cannot be opened.
+
+        alter: an external gateway's frames are altered after they were received.
+        """
+        self.simulation, self._alter = simulation, alter
         self.period_ns = config.loop.period_ns
         self._ticker = Ticker(self.period_ns)
         self._gateway_ids = {spec.can_id for spec in codec.messages if spec.is_gateway}
@@ -112,6 +127,8 @@ class BusWorld:
             for f in received
             if f.can_id in self._gateway_ids
         ]
+        if self._core is None:
+            answers = self._alter(answers, now - start)
         return Tick(now - start, frames, answers)
 
     def _answer(self) -> None:
@@ -120,7 +137,8 @@ class BusWorld:
             return
         block = self._theirs.receive_block(0.0)
         now = self._ticker.clock()
-        for frame in self._core.step(block, now) + self._node.step(meant(block), now):
+        sent = self._alter(self._core.step(block, now), now)
+        for frame in sent + self._node.step(meant(block), now):
             self._theirs.send(frame)
 
     def close(self) -> None:
