@@ -38,13 +38,15 @@ APART: Final = 0.4
 WITHIN: Final = {"turns": 0.04, "flux": 0.2, "torque": 0.3, "rms": 0.15}
 """Largest distance of each ratio from 1."""
 _NAMED: Final = (
-    (2.0, "twice"), (0.5, "half"), (9.549, "rpm for rad/s"), (0.10472, "rad/s for rpm"),
-    (60.0, "1/s for rpm"), (1 / 60.0, "rpm for 1/s"), (10.0, "ten times"), (0.1, "a tenth"),
+    (2.0, "twice"), (0.5, "half"), (10.0, "ten times"), (0.1, "a tenth"),
+    (9.549, "rpm instead of rad/s"), (0.10472, "rad/s instead of rpm"),
+    (60.0, "1/s instead of rpm"), (1 / 60.0, "rpm instead of 1/s"),
     (1000.0, "a thousand times"), (0.001, "a thousandth"),
-    (math.sqrt(3.0), "line to line for phase"), (1 / math.sqrt(3.0), "phase for line to line"),
-    (math.sqrt(2.0), "amplitude for RMS"), (math.sqrt(0.5), "RMS for amplitude"),
-    (math.sqrt(1.5), "power-invariant for amplitude-invariant"),
-    (math.sqrt(1 / 1.5), "amplitude-invariant for power-invariant"),
+    (math.sqrt(3.0), "line to line instead of phase"),
+    (1 / math.sqrt(3.0), "phase instead of line to line"),
+    (math.sqrt(2.0), "amplitude instead of RMS"), (math.sqrt(0.5), "RMS instead of amplitude"),
+    (math.sqrt(1.5), "power-invariant instead of amplitude-invariant"),
+    (math.sqrt(1 / 1.5), "amplitude-invariant instead of power-invariant"),
 )  # fmt: skip
 _NAME_WITHIN: Final = 0.06
 
@@ -182,7 +184,7 @@ def _rotation(data: Measured, motor: Motor, turns: float | None) -> Iterator[Fin
     yield Finding(
         False,
         f"{text}the configuration says {motor.pole_pairs}: correct pole_pairs (half the number of "
-        f"poles), or the scale of Speed, which then is {named(ratio)} what it should be",
+        f"poles), or the scale of Speed, which then is {named(1.0 / ratio)} what it should be",
     )
 
 
@@ -254,11 +256,17 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
         else f"{text}the configuration says {motor.psi_pm:g}, {named(ratio)} that: correct psi_pm "
         "or L_s, or the scale of the voltages, or of Speed",
     )
-    yield from _torque(data, motor, t[fast], np.real(current * np.conj(emf))[fast] * 1.5)
+    power = 1.5 * np.real(current * np.conj(emf))[fast]
+    yield from _torque(data, motor, t[fast], power, scale)
 
 
-def _torque(data: Measured, motor: Motor, t: Array, power: Array) -> Iterator[Finding]:
-    """Compare the measured torque with the torque from `power`, the air-gap power in W."""
+def _torque(
+    data: Measured, motor: Motor, t: Array, power: Array, scale: float
+) -> Iterator[Finding]:
+    """Compare the measured torque with the torque from `power`, the air-gap power in W.
+
+    scale: as in `_flux`. If it is not 1, pole pairs or speed are wrong; the torque shows which.
+    """
     known = np.isfinite(data.torque)
     if np.count_nonzero(known) < LEAST:
         return
@@ -274,6 +282,11 @@ def _torque(data: Measured, motor: Motor, t: Array, power: Array) -> Iterator[Fi
         return
     fits = abs(ratio - 1.0) <= WITHIN["torque"]
     text = f"torque: {named(ratio)} that of currents, voltages and speed"
+    if abs(scale - 1.0) > WITHIN["turns"]:
+        if abs(scale * ratio - 1.0) <= WITHIN["torque"]:
+            fits, text = True, f"{text}, because Speed is wrong, not pole_pairs"
+        elif fits:
+            text = f"{text}, so pole_pairs is wrong, not Speed"
     yield Finding(fits, text if fits else f"{text}: correct R_s, or sign or scale of Torque")
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dbc.candump.writer import Writer
+from dbc.e2e import counter_of, protect
 from dbc.frame import Frame
 from gateway.cli import main
 from gateway.mapping.fit import Measured, findings
@@ -67,6 +68,30 @@ def test_a_wrong_parameter_is_named(tmp_path, frames, capsys, changes, said):
     assert said in wrong
 
 
+@pytest.mark.parametrize("wrong", ["pole_pairs", "Speed"])
+def test_the_torque_shows_whether_pole_pairs_or_speed_are_wrong(tmp_path, frames, capsys, wrong):
+    mine = codec()
+    motion, sent = mine.by_name["Drive1_Motion"], []
+    for frame in frames:
+        if frame.can_id == motion.can_id and wrong == "Speed":
+            values = {n: r.value for n, r in mine.decode(motion, frame.data).items()}
+            values["Speed"] *= 0.5
+            payload = mine.encode(motion, values)
+            protect(motion, payload, counter_of(motion, frame.data))
+            frame = frame._replace(data=bytes(payload))  # noqa: PLW2901 the same, halved
+        sent.append(frame)
+    log = log_of(tmp_path / "d.log", sent)
+    configured = motor(pole_pairs=2) if wrong == "pole_pairs" else motor()
+    code, lines = check(tmp_path, configured, log, capsys)
+    assert code == 2
+    (line,) = [line for line in lines if "DOES NOT FIT" in line]
+    assert "pole pairs: " in line
+    assert wrong == "pole_pairs" or "Speed, which then is 0.501 times (half)" in line
+    (torque,) = [line for line in lines if "torque: " in line]
+    other = {"pole_pairs": "Speed", "Speed": "pole_pairs"}[wrong]
+    assert f"{wrong} is wrong, not {other}" in torque
+
+
 def test_can_fd_fits(tmp_path, capsys):
     fd = run(Simulation(scenario(**SCENARIO), codec(path=shipped_dbc("traction_fd.dbc"))), 4.0)
     log = log_of(tmp_path / "d.log", fd)
@@ -78,7 +103,8 @@ def test_can_fd_fits(tmp_path, capsys):
 
 
 WRONG = {
-    "rad/s for rpm": ({"Speed": ("scale", 0.10472)}, "(rad/s for rpm)"),
+    "rad/s, not rpm": ({"Speed": ("scale", 0.10472)},
+                       "which then is 0.105 times (rad/s instead of rpm) what it should be"),
     "speed of the other sign": ({"Speed": ("scale", -1.0)}, "Speed has the other sign"),
     "torque of the other sign": ({"Torque": ("scale", -1.0)},
                                  "with the other sign, that of currents"),
