@@ -8,8 +8,8 @@
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
  * comparison with NaN is false, and each condition is written so that false is the safe answer. The
- * only divisor is the cycle of Motion, at least 1 ns; stamps are between 0 and now, so that their
- * difference and the quotient fit. The root is that of a variance. */
+ * divisors are the cycle of Motion, at least 1 ns, and a time above SMOOTH_NS. Stamps are between 0
+ * and now, so that their difference and the quotient fit. The root is that of a variance. */
 #include "gateway/core/motion.h"
 
 #include <math.h>
@@ -30,6 +30,7 @@
 #define SPEED_TOLERANCE_RAD_S 5.0
 static const int64_t DISAGREE_TICKS = 5; /* consecutive, before the input is implausible */
 static const int64_t MAX_MISSING = 5; /* cycles without a reading before the observer starts anew */
+static const int64_t SMOOTH_NS = SECOND_NS / 10; /* time constant of `smooth_speed` */
 /* A filter finds a rotor that turns within this time. If not, the currents and voltages are not
  * what they seem: an open phase, another motor. */
 static const int64_t LOCK_NS = SECOND_NS;
@@ -176,6 +177,18 @@ static int is_faster(const struct motion_monitor *m, int64_t k)
     return measured && !own->crawls && !own->implausible && !m->rotors[k].away;
 }
 
+/* Speed of the filter without its noise, which can be larger than HYSTERESIS near the limit; 0: not
+ * known, or from implausible currents. */
+static double smooth_speed(const struct motion_monitor *m, int64_t k)
+{
+    struct motion *own = &m->motions[k];
+    const double w = own->implausible ? NAN : m->estimates[k].speed_rad_s;
+    const int smooth = m->estimates[k].health == HEALTH_TRACKING && !isnan(own->smooth_speed);
+    const double weight = (double)m->tick_ns / (double)(m->tick_ns + SMOOTH_NS);
+    own->smooth_speed = smooth ? own->smooth_speed + weight * (w - own->smooth_speed) : w;
+    return known_or(own->smooth_speed, 0.0);
+}
+
 /* Note which drives turn too fast, or too slowly, for their filters; 1 if the observers are needed: one
  * of the former can be compared, or the train crawls. A filter's speed from implausible currents is
  * ignored, and changes no other drive's source. */
@@ -184,9 +197,7 @@ static int note_ranges(const struct motion_monitor *m)
     int fast = 0, slow = 0, faster = 0;
     for (int64_t k = 0; k < m->n; k++) {
         struct motion *own = &m->motions[k];
-        const double estimated =
-            own->implausible ? 0.0 : known_or(m->estimates[k].speed_rad_s, 0.0);
-        const double w = known_or(m->inputs[k].speed_rad_s, estimated);
+        const double w = known_or(m->inputs[k].speed_rad_s, smooth_speed(m, k));
         const double limit = m->max_w_e * (own->aliasing ? 1.0 - HYSTERESIS : 1.0);
         const double least = m->crawl_w_e * (own->crawls ? 1.0 + HYSTERESIS : 1.0);
         own->aliasing = fabs(own->pole_pairs * w) > limit;

@@ -1423,6 +1423,7 @@ struct motion {
     struct load_observer observer; /* state after the last reading */
     double load_nm;                /* load used in the tick before, Nm; NaN: none */
     double offset_nm;       /* remainder of the difference when the source last changed, Nm */
+    double smooth_speed;    /* speed of the filter without its noise, rad/s; NaN: none */
     int64_t reading_ns;     /* stamp of the last reading */
     int64_t readings;       /* number of readings since the observer started */
     int64_t unlocked_ns;    /* time for which the filter has not found a rotor that turns */

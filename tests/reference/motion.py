@@ -36,6 +36,7 @@ Flags = NDArray[np.bool_]
 _UNKNOWN, _CONVERGING, _TRACKING, _PREDICTING, _DIVERGED, _INPUT_INVALID = range(6)  # Health
 _STARTING, _NOT_AVAILABLE = 1, 6  # Reason
 _SECOND = 1_000_000_000
+MEAN_NS = 100_000_000
 
 
 class Memory(NamedTuple):
@@ -43,7 +44,8 @@ class Memory(NamedTuple):
 
     observer (N, 8): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
     readings: since it began; beyond: the drive turns too fast for its current samples; crawls: too
-    slowly for its flux to be seen; away: its wheel has run away or locked (given); load: what
+    slowly for its flux to be seen; away: its wheel has run away or locked (given); mean: the speed
+    of the filter over the last tenth of a second; load: what
     was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
     the difference where that changed; apart: ticks in a row that the two speeds have been;
     unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its input
@@ -63,6 +65,7 @@ class Memory(NamedTuple):
     wrong: Flags
     crawls: Flags
     away: Flags
+    mean: Array
 
 
 class Limits(NamedTuple):
@@ -93,7 +96,7 @@ def memory(n: int) -> Memory:
     return Memory(
         np.zeros((n, len(LoadState._fields))), flags[0], zeros[0], zeros[1], flags[1],
         np.full(n, np.nan), flags[2], np.zeros(n), zeros[2], zeros[3], flags[3], flags[4],
-        flags[5],
+        flags[5], np.full(n, np.nan),
     )  # fmt: skip
 
 
@@ -220,10 +223,13 @@ def merge_motion(
     measured = inputs.speed
     any_beyond = False
     for k in range(measured.shape[0]):
+        own = math.nan if memory.wrong[k] else told.speed[k]
+        settled = told.health[k] == _TRACKING and not math.isnan(memory.mean[k])
+        share = limits.tick_ns / (limits.tick_ns + MEAN_NS)
+        memory.mean[k] = (1.0 - share) * memory.mean[k] + share * own if settled else own
         w = measured[k]
         if math.isnan(w):
-            unknown = memory.wrong[k] or math.isnan(told.speed[k])
-            w = 0.0 if unknown else told.speed[k]
+            w = 0.0 if math.isnan(memory.mean[k]) else memory.mean[k]
         limit = limits.limit_w_e * (1.0 - limits.hysteresis if memory.beyond[k] else 1.0)
         memory.beyond[k] = abs(limits.pole_pairs[k] * w) > limit
         least = limits.crawl_w_e * (1.0 + limits.hysteresis if memory.crawls[k] else 1.0)

@@ -116,6 +116,20 @@ def test_hysteresis_at_the_limit():
     assert seen == [False, True, True, False, False, True]
 
 
+def test_without_a_motion_the_noise_of_the_filters_speed_changes_no_source():
+    """Noise of 4 % and a mean that is 3 % below, then 9 % above the limit, then 9 % below it."""
+    motion, seen, rng = side(), [], np.random.default_rng(3)
+    for share in [0.97] * 100 + [1.09] * 100 + [0.91] * 100:
+        w_m = share * (1.0 + rng.uniform(-0.04, 0.04)) * LIMIT_W_E / 4.0
+        merged(motion, [DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0)], [None])
+        seen.append(motion.motions["aliasing"].item(0))
+    assert not any(seen[:100])
+    assert all(seen[120:200])
+    assert not any(seen[220:])
+    merged(motion, [DriveEstimate(Health.CONVERGING, 2.0 * LIMIT_W_E)], [None])
+    assert motion.motions["aliasing"].item(0), "no mean of a speed that is not found yet"
+
+
 def test_a_drive_that_crawls_has_the_load_of_its_motion_and_without_one_that_of_its_filter():
     """Below 30 rad/s electrical, with 5 % of hysteresis; forwards and backwards."""
     for way in (1.0, -1.0):

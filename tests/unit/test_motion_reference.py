@@ -35,7 +35,7 @@ MOTION = {
     "started": "begun", "reading_ns": "last_ns", "readings": "readings", "aliasing": "beyond",
     "crawls": "crawls",
     "load_nm": "load", "by_observer": "observed", "offset_nm": "offset", "disagree_ticks": "apart",
-    "unlocked_ns": "unlocked_ns", "implausible": "wrong",
+    "unlocked_ns": "unlocked_ns", "implausible": "wrong", "smooth_speed": "mean",
 }  # fmt: skip
 """The same of `struct motion`."""
 FAULTS = (
