@@ -125,7 +125,7 @@ def _value(entry: Entry, match: re.Match[str], kinds: dict[str, Kind]) -> Iterat
     if why := _misfit(kind, value):
         yield Fault(entry, why, None)
     elif name in _INDEXED and not 0 <= Decimal(text) < (count := _count(name, kind)):
-        yield Fault(entry, f"{text} is none of its {count} values, from 0 on", None)
+        yield Fault(entry, f"{text} is not an index of its {count} values (the first is 0)", None)
     elif name in _AS_NUMBER and kind.type_name not in (*_NUMBERS, "ENUM"):
         yield Fault(entry, f"{name} is a number; it is defined as {kind.type_name}", None)
 
@@ -143,7 +143,7 @@ def _misfit(kind: Kind, value: str) -> str:
     if kind.type_name not in (*_NUMBERS, "ENUM"):
         return ""
     if not _is_number(text) or (kind.type_name in _WHOLE and not _is_finite(text)):
-        return f"{value[:40]} is no number, which its type {kind.type_name} needs"
+        return f"{value[:40]} is not a number, as its type {kind.type_name} requires"
     return ""
 
 

@@ -133,7 +133,8 @@ class Entries:
         if entry.keyword:
             return False
         more = entry.text.count("\n")
-        why = "no entry of a DBC" + (f", nor are the lines up to {entry.line + more}" * bool(more))
+        lines = f", nor are the lines up to {entry.line + more}" if more else ""
+        why = f"not an entry of a DBC{lines}"
         self.left_out.append(LeftOut(entry.line, entry.text.split("\n")[0].strip()[:80], why))
         return True
 
@@ -154,7 +155,7 @@ class Entries:
             elif number is not None:
                 kept += self._signal(entry, number)
             elif not lost:
-                self._list(entry, "stands behind no message")
+                self._list(entry, "does not follow a message")
         self.entries = kept
 
     def _message(self, entry: Entry, found: Checked) -> int | None:

@@ -52,12 +52,12 @@ def message_of(text: str) -> Checked:
     """Check a BO_; one without a valid sender gets the sender Vector__XXX and is not rejected."""
     match = _MESSAGE.fullmatch(text)
     if match is None:
-        return Checked(None, "", "is no message (BO_ number name: bytes sender)", text)
+        return Checked(None, "", "is not a message (BO_ number name: bytes sender)", text)
     head, name, size, sender = match[1], match[3], int(match[4][:9]), match[5] or ""
     number = number_of(match[2])
     fault = ""
     if not _WORD.fullmatch(name):
-        fault = f"{name!r} is no name: {_NAME}"
+        fault = f"{name!r} is not a name: {_NAME}"
     elif size > _MOST_BYTES:
         fault = f"{match[4][:20]} bytes; CAN FD has 64"
     elif not _is_identifier(number):
@@ -83,19 +83,19 @@ def signal_of(text: str) -> Checked:
     """Check an SG_; unreadable receivers become Vector__XXX, and the signal is not rejected."""
     match = _SIGNAL.fullmatch(text)
     if match is None:
-        fault = "is no signal (SG_ name : start|length@order sign (scale,offset) [min|max] unit"
+        fault = "is not a signal (SG_ name : start|length@order sign (scale,offset) [min|max] unit"
         return Checked(None, "", f"{fault} nodes)", text)
     head, name, marker, tail = match[1], match[2], match[3] or "", match[10]
     start, size = int(match[4][:9]), int(match[5][:9])
     fault = ""
     if not _WORD.fullmatch(name):
-        fault = f"{name!r} is no name: {_NAME}"
+        fault = f"{name!r} is not a name: {_NAME}"
     elif not 1 <= size <= _MOST_BITS:
         fault = f"{size} bits; 1 to 64 are possible"
     elif start > _LAST_BIT:
         fault = f"starts at bit {start} of 512"
     elif any(len(n) > _DIGITS or abs(float(n)) == float("inf") for n in match.groups()[5:9]):
-        fault = "a number that no double has"
+        fault = "a number too large for a double"
     elif int(marker.strip("mM")[:20] or 0) > LAST_MUX:
         fault = f"multiplexer value above {LAST_MUX}"
     if not _RECEIVERS.fullmatch(tail):

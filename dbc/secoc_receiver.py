@@ -111,7 +111,7 @@ class Verifier:
             return None
         new, self._reported, self._reported_ns = wrong - self._reported, wrong, now
         return (
-            f"{new} frames failed authentication ({self.failed} forged, old or unheard-of, "
+            f"{new} more frames failed authentication ({self.failed} with a wrong MAC or freshness, "
             f"{self.alone} without a flag frame, {self.accepted} genuine so far)"
         )
 

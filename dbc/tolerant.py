@@ -66,7 +66,7 @@ def _read(path: Path) -> tuple[Database, Entries]:
         raise DbcMismatch(path, [f"cannot be read: {reason}"]) from None
     entries = Entries(text.replace("\r\n", "\n").replace("\r", "\n"))
     if not entries.entries:
-        raise DbcMismatch(path, ["is no DBC: there is no entry of one in it"])
+        raise DbcMismatch(path, ["is not a DBC: there is no entry of one in it"])
     return load_rest(path, entries), entries
 
 
@@ -144,7 +144,9 @@ def _named(specs: list[MessageSpec]) -> tuple[list[MessageSpec], list[str]]:
         while name in taken:
             name, k = f"{spec.name}_{k}", k + 1
         if name != spec.name:
-            notes.append(f"{spec.name}: another message has this name; its columns are {name}'s")
+            notes.append(
+                f"{spec.name}: another message has this name; columns of this one are named {name}"
+            )
         taken.add(name)
         out.append(spec if name == spec.name else replace(spec, name=name, kind=name))
     return out, notes

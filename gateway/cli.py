@@ -207,7 +207,7 @@ def _run_command(words: list[str]) -> int:
             raise
         text = " ".join(str(error).split())
         if isinstance(error, FileExistsError | NotADirectoryError) and error.filename:
-            what = "File exists" if isinstance(error, FileExistsError) else "is no folder"
+            what = "File exists" if isinstance(error, FileExistsError) else "is not a folder"
             text = f"{error.filename}: {what}; name another one"
         text = printable(text, len(text))  # it may quote names of files
         logs.say(text if form == "json" else f"traction-gateway: {text}", form)

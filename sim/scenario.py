@@ -157,7 +157,7 @@ class Expect(Strict):
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if self.never and self.within_ms is not None:
-            raise ValueError("within_ms and never exclude one another")
+            raise ValueError("within_ms and never: give one of them")
         return self
 
 
@@ -202,8 +202,8 @@ class Scenario(Strict):
             if isinstance(drive, int) and not 1 <= drive <= self.drives
         ]
         wrong += [
-            f"{where}[{k}].{key}: {at:g} s is not before the end at {self.duration_s:g} s: nothing "
-            "would come of it"
+            f"{where}[{k}].{key}: {at:g} s is not before the end at {self.duration_s:g} s: it "
+            "would have no effect"
             for where, key, times in (
                 ("event", "at_s", [e.at_s for e in self.event]),
                 ("expect", "after_s", [e.after_s for e in self.expect]),
@@ -230,7 +230,9 @@ class Scenario(Strict):
             or self.load.differs
             or any(e.kind == "phase_open" for e in self.event)
         ):
-            raise ValueError("traffic = 'slow' knows no mismatch, share, wheel or phase_open")
+            raise ValueError(
+                "traffic = 'slow' does not support mismatch, share, wheel or phase_open"
+            )
         return self
 
     @model_validator(mode="after")
@@ -244,7 +246,7 @@ class Scenario(Strict):
         """Expectations that would check nothing, or less than they state: index and reason."""
         for k, expect in enumerate(self.expect):
             if expect.drive == "others" and not self.drives_of("others"):
-                yield k, "drive: events name all drives, there are no others"
+                yield k, "drive: there are no others, because events name all drives"
             until_s = expect.after_s + (expect.within_ms or 0.0) / 1000.0
             if until_s > self.duration_s:
                 end = f"the scenario ends at {self.duration_s:g} s"

@@ -18,7 +18,7 @@ Time = Annotated[float, within(0, 1e7, "s", "give it in seconds from the start")
 Span = Annotated[
     float, within(0.001, 1e7, "s", "give it in seconds; what is shorter has no effect")
 ]
-Number = Annotated[float, within(-1e6, 1e6, "", "nothing on a train is as large")]
+Number = Annotated[float, within(-1e6, 1e6, "", "too large for a train: check its unit")]
 Positive = Annotated[float, within(1e-7, 1e6, "", "a parameter of the motor, in SI units")]
 Points = Annotated[list[tuple[Time, Number]], Field(min_length=1)]
 Factor = Annotated[float, within(0.01, 100, "", "a factor, 1 leaves the number as it is")]
@@ -65,10 +65,10 @@ class MotorChoice(Strict):
         given = [key for key in OWN if getattr(self, key) is not None]
         missing = [key for key in OWN if key not in given]
         if given and missing:
-            raise ValueError(f"a motor of one's own needs {', '.join(missing)}, too")
+            raise ValueError(f"a motor with its own parameters also needs {', '.join(missing)}")
         named = "name" in self.model_fields_set
         if named and (given or {"B", "k_p"} & self.model_fields_set):
-            raise ValueError("either name or a motor's own parameters")
+            raise ValueError("give either name or the motor's own parameters, not both")
         if self.name not in MOTORS:
             own = "for another give its parameters"
             raise ValueError(f"unknown motor {self.name!r}: one of {', '.join(MOTORS)}; {own}")
@@ -148,7 +148,7 @@ class Load(Strict):
         if self.disturbance and self.kind != "preset":
             raise ValueError("disturbance needs kind = 'preset'")
         if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
-            raise ValueError("times of profile must rise")
+            raise ValueError("times in profile must increase")
         return self
 
 
@@ -170,7 +170,7 @@ class Motion(Strict):
     @model_validator(mode="after")
     def _rises(self) -> Self:
         if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
-            raise ValueError("times of profile must rise")
+            raise ValueError("times in profile must increase")
         return self
 
 

@@ -123,7 +123,7 @@ class Simulation:
         Raises ValueError for a drive that does not exist, or an event this plant cannot simulate.
         """
         if event.kind == "phase_open" and self._plant is None:
-            raise ValueError("traffic = 'slow' knows no phase_open")
+            raise ValueError("traffic = 'slow' does not support phase_open")
         if event.kind == "friction_brake" and (self._plant is None or not self._plant.on_rail):
             raise ValueError(NEEDS_RAIL)
         self._schedule.add(event)

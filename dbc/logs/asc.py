@@ -98,7 +98,9 @@ class Asc(Format):
         """Time from the first block to this one, whose times start again at its own trigger."""
         if self._first and self._block:
             return nanoseconds_between(self._first, self._block)
-        self.notes.append("times begin anew at a date that is not understood: they go on at once")
+        self.notes.append(
+            "times restart at a date that cannot be read: they continue without a gap"
+        )
         return self._latest_ns - first_ns
 
     def data(self, text: str, length: int) -> bytes:

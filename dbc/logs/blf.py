@@ -114,7 +114,7 @@ class Blf(ObjectReader):
         """Read the file's header: start time, expected size and expected number of objects."""
         head = self._read(stream, FILE.size)
         if len(head) < FILE.size or head[:4] != b"LOGG":
-            raise LogError(self.name, 0, "cannot be read: no BLF (it does not begin with LOGG)")
+            raise LogError(self.name, 0, "cannot be read: not a BLF (it does not begin with LOGG)")
         fields = FILE.unpack(head)
         self._read(stream, max(min(fields[1], _SEARCH) - FILE.size, 0))
         self._start_ns = _system_time_ns(fields[14:22])
@@ -157,7 +157,7 @@ class Blf(ObjectReader):
             this, head = head, self._read(stream, BASE.size)
             followed = not is_cut and is_followed(padding + head, len(padding))
             if not followed and (at := find_container(body)) >= 0:
-                self._lose(f"an object of {size} bytes has another one in it")
+                self._lose(f"an object of {size} bytes contains another object")
                 yield from self._go_back(stream, len(body) - at + len(padding + head), at)
                 head = self._read(stream, BASE.size)
             elif kind == CONTAINER_KIND:
@@ -166,7 +166,7 @@ class Blf(ObjectReader):
             elif followed or is_cut:
                 yield this + body + bytes(-size % 4)
             else:
-                self._lose("an object that no other one follows", size)
+                self._lose("an object that is not followed by another", size)
                 yield None
 
     def _go_back(self, stream: IO[bytes], back: int, packed: int) -> Iterator[None]:
@@ -241,7 +241,7 @@ class Blf(ObjectReader):
             if following < 0:
                 if len(data) - at < 8 or not data[at:].strip(b"\0"):
                     return data[at:].lstrip(b"\0")
-                self._lose("bytes between objects that are none")
+                self._lose("bytes between objects")
                 following = at = self._skip_to_object(data, at)
             at = following
             if at + BASE.size > len(data):
@@ -261,7 +261,7 @@ class Blf(ObjectReader):
                 continue
             following = data.find(SIGNATURE, end, end + 8)
             if following < 0 and not is_followed(data, end):
-                self._lose("an object that no other one follows")
+                self._lose("an object that is not followed by another")
                 following = at = self._skip_to_object(data, at, 4)
                 continue
             found = self._one(data[at:end], (header, version, size, kind))

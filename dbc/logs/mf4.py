@@ -81,7 +81,7 @@ class Mf4(ObjectReader):
     def _read(self, mdf: Any) -> Iterator[Block]:
         """Yield the frames of an open file."""
         if mdf.header.time_flags & _LOCAL_TIME:
-            self.notes.append("the file's clock is local time of no named zone, read as UTC")
+            self.notes.append("the file's times are local, without a time zone: read as UTC")
         yield from self._merged([_Group(mdf, k, name) for k, name in self._groups(mdf)])
 
     def _whole(self, stack: ExitStack) -> Path | IO[bytes]:

@@ -59,8 +59,8 @@ def _missing_part(stream: IO[bytes]) -> str:
         end, links = _extent(stream, at, size)
         if end > size:
             return (
-                f"the file is cut: it has {size} bytes, and by its own index one of its parts is "
-                f"at bytes {at} to {end}"
+                f"the file is cut: it has {size} bytes, but its index places a block at bytes "
+                f"{at} to {end}"
             )
         waiting += links - known
         known.update(links)

@@ -62,7 +62,7 @@ class Promise(NamedTuple):
             f"{self.needed} fault-free hours needed, {self.hours} measured, which can promise "
             f"{self.least:.3g} at best"
             if self.hours < self.needed
-            else f"too many of the {self.hours} fault-free hours seem to have a fault for certain"
+            else f"in too many of the {self.hours} fault-free hours a fault seemed certain"
         )
         return (
             f"{self.rate:g} false alarms in 1000 h not promised: {why}; limit {self.limit:.6f} "

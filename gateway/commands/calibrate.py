@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gateway.settings.config import Config
     from gateway.study.calibrating import Learner
 
-WITHOUT = "nothing was written; --without-model learns how motors differ, for that method"
+WITHOUT = "nothing was written; for [thermal] method = 'maisd' run again with --without-model"
 MARGIN = 1.5
 """Factor from the largest value of a fault-free run to the limit."""
 

@@ -125,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
             "the DBC (GenMsgCycleTime), fewer drives on this bus, or CAN FD",
         )  # fmt: skip
     if unfound:
-        note("no loss would be found: " + "; ".join(unfound))
+        note("losses that would not be found: " + "; ".join(unfound))
     if unfit:
         note(f"{options.log}: " + "; ".join(unfit))
     return BAD_INPUT if unfound or unfit or percent > LOAD_LIMIT_PERCENT else GOOD
@@ -146,7 +146,7 @@ def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
     if measured.times_us:
         check_timing.print_results(config, codec, measured)
     else:
-        why = simulated.problem or "no drive can ever be judged"
+        why = simulated.problem or "every drive is always Unknown"
         print(f"timing         not measured: {why}")
     return tried
 
@@ -177,11 +177,14 @@ def _heartbeats(config: Config) -> str:
     shortest = HEARTBEAT_LIMIT_NS // 1_000_000
     if (period := config.canopen.heartbeat_ms) is None:
         return (
-            "of any period, or none: after its second one, a drive is lost after "
-            f"{TIMEOUT_PERIODS} of the received periods, at least {shortest} ms"
+            "optional, of any period: from its second heartbeat on, a node is lost after "
+            f"{TIMEOUT_PERIODS} received periods of silence, at least {shortest} ms"
         )
     limit = max(shortest, TIMEOUT_PERIODS * period)
-    return f"every {period} ms: after its second one, a drive is lost after {limit} ms of silence"
+    return (
+        f"every {period} ms: from its second heartbeat on, a node is lost after {limit} ms of "
+        "silence"
+    )
 
 
 def _authentication(config: Config) -> str:

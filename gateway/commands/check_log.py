@@ -151,7 +151,8 @@ class _Values:
             return []
         if not mine:
             cure = "docs/inverters.md says which signals belong together"
-            return [fit.Finding(False, f"its signals make none of our messages: {cure}")]
+            text = f"its mapped signals do not complete any message: {cure}"
+            return [fit.Finding(False, text)]
         text = "the log has none of its messages: correct node or id_offset, or --log-channel"
         return [fit.Finding(False, text)]
 

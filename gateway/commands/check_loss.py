@@ -42,7 +42,7 @@ def print_results(config: Config, tried: Tried) -> list[str]:
         if node not in _mapped(config):  # the reason of mapped drives is printed above
             _line(f"drive {node} is always Unknown: {why}")
     if len(tried.blind) == len(config.nodes):
-        _line("not tried: no drive can ever be judged")
+        _line("not simulated: every drive is always Unknown")
         return [f"drive {node}: {why}" for node, why in tried.blind.items()]
     problems = []
     what = f"A loss of {100 * DEPTH:.0f} % on drive"

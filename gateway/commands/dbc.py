@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.settings.config import ConfigError, shipped_dbc
 
     if options.output.exists():
-        raise ConfigError(f"{options.output}: is there already", ["name another file"])
+        raise ConfigError(f"{options.output}: already exists", ["name another file"])
     source = shipped_dbc("traction_fd.dbc" if options.fd else "traction.dbc")
     write_text(options.output, source.read_text(encoding="utf-8"))
     print(f"written: {shown(options.output)}")

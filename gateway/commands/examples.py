@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.settings.config import ConfigError
 
     if options.output.exists():
-        raise ConfigError(f"{options.output}: is there already", ["name a new folder"])
+        raise ConfigError(f"{options.output}: already exists", ["name a new folder"])
     source = shipped()
     for path in sorted(source.rglob("*")):
         if path.is_file() and path.parent.name != "__pycache__":

@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
             fleet.run(planned, settings, options.jobs, options.scheduler, after)
     except KeyboardInterrupt:
         finish()
-        console().print("stopped; the same command goes on where this ended")
+        console().print("stopped; run the same command again to continue")
         raise
     except OSError:
         if len(rows) > len(planned.before):

@@ -85,7 +85,7 @@ def _refuse(options: argparse.Namespace) -> None:
 def _printed(options: argparse.Namespace, results: list[Result], known: set[str]) -> int:
     """Print the result for each mutant, and cures; return the exit code."""
     if len(results) < options.mutate:
-        note(f"there are {len(results)} different mutants")
+        note(f"only {len(results)} different mutants exist; all are run")
     for result in results:
         print(f"{_word(result):12} {result.mutant.text}")
     missed = [result for result in results if result.noticed_by is None]
@@ -97,7 +97,7 @@ def _printed(options: argparse.Namespace, results: list[Result], known: set[str]
 
 
 def _word(result: Result) -> str:
-    return result.noticed_by or ("NOT NOTICED" if result.alters else "NOT SHOWN")
+    return result.noticed_by or ("NOT NOTICED" if result.alters else "NO EFFECT")
 
 
 def _recorded(

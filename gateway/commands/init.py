@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.settings.config import ConfigError
 
     if options.output.exists():
-        raise ConfigError(f"{options.output}: is there already", ["name another file with -o"])
+        raise ConfigError(f"{options.output}: already exists", ["name another file with -o"])
     dbc = _asked_dbc() if options.dbc is None else options.dbc
     drives = _asked_drives() if options.drives is None else options.drives
     if not 1 <= drives <= MOST_DRIVES:
@@ -177,7 +177,8 @@ def _periods(options: argparse.Namespace) -> dict[int, float]:
         seen += block.size
         if seen >= FRAMES:
             break
-    none = ConfigError(str(log), ["no message comes several times: cycle times cannot be read"])
+    problem = "no message occurs often enough to measure its cycle time: give a longer log"
+    none = ConfigError(str(log), [problem])
     if not parts:
         raise none
     keys, times = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -221,5 +222,5 @@ def _check(path: Path, more: Sequence[str]) -> int:
             note(problem)
         code = BAD_INPUT
     if code:
-        note(f"{shown(path)} is not good yet: correct it, and run `traction-gateway check {path}`")
+        note(f"{shown(path)} has errors: correct it, and run `traction-gateway check {path}`")
     return code

@@ -40,6 +40,9 @@ def run(options: argparse.Namespace) -> int:
         return GOOD
     public = private.with_name(private.stem + ".pub" + private.suffix)
     make_keys(private, public)
-    print(f"{private}: signs configurations; keep it where no gateway is")
-    print(f"{public}: for 'run --public-key'; keep it where nobody who edits configurations writes")
+    print(f"{private}: signs configurations; do not keep it on a gateway")
+    print(
+        f"{public}: for 'run --public-key'; whoever edits configurations must not be able to write "
+        "it"
+    )
     return GOOD

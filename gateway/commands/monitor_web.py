@@ -102,7 +102,7 @@ def _token(name: str | None, wanted: Mapping[str, Listen]) -> bytes | None:
         return token_of(content, str(path))
     if open_to_others:
         cure = (
-            "others can reach that; name a token they have to show: "
+            "others can reach this address; viewers then need a token: "
             "'traction-gateway keygen --token -o FILE', then --token-file FILE"
         )
         raise ConfigError(", ".join(sorted(open_to_others)), [cure])

@@ -249,7 +249,7 @@ def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> No
             f"from {back.before_ns / 1e9:.3f} to {back.after_ns / 1e9:.3f}", markup=False,
         )  # fmt: skip
     if done.clock.steps > SHOWN:
-        console().print(f"and {done.clock.steps - SHOWN} times more")
+        console().print(f"and {done.clock.steps - SHOWN} more times")
     counts = done.gateway.inbox.counts
     print("frames: " + ", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v))
     for t_ns, node, what, word in changes:

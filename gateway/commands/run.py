@@ -112,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             config, transport, ticker, gateway = _start(options)
         except KeyboardInterrupt:
-            log.info("stopped before it began")
+            log.info("stopped during start-up")
             return GOOD
         from gateway.io.canopen_node import CanopenNode
         from gateway.io.live import Stop, run_live

@@ -27,7 +27,7 @@ from gateway.settings.config import Config, ConfigError
 MAGIC: Final = b"traction-gateway start record"
 TRANSIENT: Final = {"scratch", "workspace", "readings", "before", "samples", "sent", "frames"}
 """Attributes whose arrays a tick fills in before it reads them."""
-ANEW: Final = "make it anew with `traction-gateway shrink`"
+ANEW: Final = "make it again with `traction-gateway shrink`"
 
 Array = NDArray[Any]
 
@@ -88,7 +88,7 @@ def resumed(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
     """
     magic, checksum, rest = (*data.split(b"\n", 2), b"", b"")[:3]
     if magic != MAGIC:
-        raise ConfigError(name, [f"is no start record; {ANEW}"])
+        raise ConfigError(name, [f"is not a start record; {ANEW}"])
     if checksum != sha256(rest).hexdigest().encode():
         raise ConfigError(name, [f"is damaged: its checksum is wrong; {ANEW}"])
     header, _, packed = rest.partition(b"\n")
@@ -99,7 +99,7 @@ def resumed(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
         text = f"was made with configuration {found['config']}, this one is {own}"
         raise ConfigError(name, [f"{text}; give the same --config, or {ANEW}"])
     if found["layout"] != _layout(gateway):
-        raise ConfigError(name, [f"was made by a version with other records; {ANEW}"])
+        raise ConfigError(name, [f"was made by another version of traction-gateway; {ANEW}"])
     sizes = [array.nbytes for array in _arrays(gateway)]
     saved, ends = zlib.decompress(packed), np.cumsum(sizes).tolist()
     arrays = [saved[end - size : end] for size, end in zip(sizes, ends, strict=True)]

@@ -226,7 +226,7 @@ def _flow(
         try:
             outcome = task.result()
         except CancelledError:
-            msg = "the scheduler is gone; what is finished stays, run again to go on"
+            msg = "scheduler lost; finished logs are kept, run the same command again to continue"
             raise OSError(msg) from None
         except Exception as error:  # our tasks return a bad row, so this error is Dask's
             outcome = error

@@ -180,14 +180,14 @@ def to_toml(measured: Measured) -> str:
         _line("all", seen),
         "",
         "[adhesion]",
-        "# As in use, or half-way from the largest to 1 where that reached it.",
+        "# The value in use; if the largest probability reached it: half-way from there to 1.",
         f"raise_probability = {raised:g}",
-        "# As in use, or the quantile where that is above it.",
+        "# The value in use, or the quantile if that is higher.",
         f"clear_probability = {cleared:g}",
     ]
     if measured.spread_nm is not None:
         lines += [
-            f"# As in use, or what was measured where that is above: {measured.spread_nm:.3f} Nm.",
+            f"# The value in use, or the measured {measured.spread_nm:.3f} Nm if that is higher.",
             f"spread_nm = {max(used.spread_nm, _up(measured.spread_nm)):g}",
         ]
     return "\n".join(lines) + "\n"

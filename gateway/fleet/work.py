@@ -32,7 +32,8 @@ def prepare(settings: Settings) -> str:
     """
     config, here = settings.config, version("traction-gateway")
     if settings.version != here:
-        return f"a worker has traction-gateway {here}, not {settings.version}"
+        problem = f"a worker has traction-gateway {here}, not {settings.version}"
+        return f"{problem}; install the same version on all workers"
     try:
         Gateway(config, _codec(config.dbc_path, config.nodes), 0)
     except (ConfigError, DbcMismatch, OSError) as error:

@@ -35,10 +35,9 @@ def fitting(
     if path is not None:
         config, codec = prepare(path, signature=signature)
         if config.unmapped() is not config:
-            cure = "leave them out to test the rest, or replay a log of such an inverter"
-            raise ConfigError(
-                str(path), [f"drive.signals: simulated drives speak our message set; {cure}"]
-            )
+            problem = "drive.signals: simulated drives send only this project's message set"
+            cure = "remove the signals to test the rest, or replay a log of such an inverter"
+            raise ConfigError(str(path), [f"{problem}; {cure}"])
         if len(config.nodes) != scenario.drives:
             console().print(
                 f"note: the scenario has {scenario.drives} drives, the configuration "

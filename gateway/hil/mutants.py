@@ -160,7 +160,7 @@ def _stuck(rng: random.Random) -> Mutant:
 
         return step
 
-    return Mutant(f"{kind.lower()} of drive {place + 1} stays what it was at first", alter)
+    return Mutant(f"{kind.lower()} of drive {place + 1} keeps its first known value", alter)
 
 
 def _held(rng: random.Random) -> Mutant:
@@ -201,7 +201,7 @@ def _everyone(rng: random.Random) -> Mutant:
         bad = any(one.values.get(name) == Flag.BAD for name in names)
         return one.having(**dict.fromkeys(names, Flag.BAD)) if bad else one
 
-    return Mutant(f"one drive's bad {kind.lower()} is all drives'", _each(change))
+    return Mutant(f"one drive's bad {kind.lower()} is sent for all drives", _each(change))
 
 
 def _flicker(rng: random.Random) -> Mutant:
@@ -283,7 +283,7 @@ def _thresholds(rng: random.Random) -> Mutant:
 
 KINDS: Final[tuple[Callable[[random.Random], Mutant], ...]] = (
     partial(_instead, what="is never bad", old=Flag.BAD, new=Flag.GOOD),
-    partial(_instead, what="is good where nobody knows", old=Flag.UNKNOWN, new=Flag.GOOD),
+    partial(_instead, what="is good where it should be unknown", old=Flag.UNKNOWN, new=Flag.GOOD),
     partial(_instead, what="is unknown where it should be bad", old=Flag.BAD, new=Flag.UNKNOWN),
     partial(_instead, what="is bad where it should be good", old=Flag.GOOD, new=Flag.BAD),
     partial(_instead, what="is unknown where it should be good", old=Flag.GOOD, new=Flag.UNKNOWN),

@@ -25,7 +25,7 @@ def with_motor_of(config: Config, scenario: Scenario) -> Scenario:
     if "motor" in scenario.model_fields_set or motors == {BENCH_MOTOR}:
         return scenario
     if len(motors) > 1:
-        problem = f"drives have the motors {', '.join(names)}; simulated ones share one"
+        problem = f"drives have the motors {', '.join(names)}; simulated drives share one motor"
         raise ConfigError(
             "motor", [problem, "name it, or its parameters, in the scenario's [motor]"]
         )

@@ -28,21 +28,21 @@ HATCHES: Final = ("", "////", "....")
 NOTES: Final = """
 **Utilisation** is the work of the brakes over what rail and demand allowed: at each moment the
 smaller of what was asked and what the rail carries at the peak of its creep. The **score** is that
-times the share of time without a locked wheel. **Locked**: creep above 90 %, the axle that was so
-longest. **False intervention**: torque cut, or flag raised, though for half a second the wheel
+times the share of time without a locked wheel. **Locked**: longest time that an axle had a creep
+above 90 %. **False intervention**: torque cut, or flag raised, though for half a second the wheel
 neither slid nor was asked for more than the rail carries. **Delay**: from the onset of sliding (5 %
 beyond the best creep) to the axle's cut or flag, median; 0 where it was cut already. **Stop**: from
 15 to 2 m/s. An axle that is stuck or cut out is not scored.
 
 The tracks have the shape of those of EN 15595:2018+A1:2023 and UIC 541-05, not their trains, speeds
-and friction values: nobody is type-tested here.
+and friction values: this is not a type test.
 """
 
 
 def cells(run: Run) -> tuple[str, ...]:
     """Cells of one run's row in the table of `HEAD`."""
     s: Score = run.score
-    delay = "none slid" if math.isnan(s.delay_s) else f"{s.delay_s:.2f}"
+    delay = "no slide" if math.isnan(s.delay_s) else f"{s.delay_s:.2f}"
     return (
         run.track.name, run.controller, f"{100 * s.score:.1f}", f"{100 * s.utilisation:.1f}",
         f"{100 * s.worst_creep:.0f}", f"{s.locked_s:.2f}", f"{s.false_interventions}", delay,

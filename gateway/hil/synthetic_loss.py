@@ -296,9 +296,9 @@ def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
     when = f"{since_ms:.0f} ms after" if since_ms >= 0 else f"{-since_ms:.0f} ms before"
     a = config.adhesion
     return (
-        f"drive {nodes[0]} is AdhesionLost {when} the loss, without one of its own: "
+        f"drive {nodes[0]} is AdhesionLost {when} the loss, although it lost no adhesion: "
         f"{_spread(config)}adhesion.raise_ms = {a.raise_ms} ms is too "
-        "small for the noise, or a number of [motor] is wrong"
+        "small for the noise, or a parameter in [motor] is wrong"
     )
 
 
@@ -319,18 +319,18 @@ def _cause(view: DriveView, most: float, config: Config) -> str:
     signals = {drive.node: drive.signals for drive in config.drive}[view.node]
     if signals is not None and "TorqueCommand" not in signals.use:
         return (
-            "its torque stands for the command, and falls with the load: map TorqueCommand to the "
-            "torque that the inverter is asked for"
+            "its measured torque replaces the missing command and falls with the load: map "
+            "TorqueCommand to the commanded torque"
         )
     if most >= a.raise_probability:
         return (
             f"its loss probability reaches {most:.3g}, but does not hold for "
-            f"adhesion.raise_ms = {a.raise_ms} ms: give less"
+            f"adhesion.raise_ms = {a.raise_ms} ms: reduce raise_ms"
         )
     if view.adhesion is Flag.UNKNOWN:
         return _unknown(view, "in the loss")
     return (
-        f"its loss probability reaches {most:.3g} of adhesion.raise_probability = "
+        f"its loss probability reaches only {most:.3g}, below adhesion.raise_probability = "
         f"{a.raise_probability:g}: {_spread(config, ' hides it, or ')}"
         "estimator.process_noise and estimator.current_noise_var do not suit the motor"
     )

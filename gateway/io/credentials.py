@@ -46,7 +46,7 @@ def flag_key(name: str, base: Path) -> bytes:
     except ValueError:
         key = b""
     if len(key) != _KEY_BYTES or len(set(key)) == 1:
-        problem = "is no key; make one with 'traction-gateway keygen --flags -o FILE'"
+        problem = "is not a key; make one with 'traction-gateway keygen --flags -o FILE'"
         raise ConfigError(str(path), [problem])
     return key
 
@@ -73,7 +73,9 @@ def _content(path: Path, *, private: bool) -> bytes:
             if private and about.st_mode & 0o077:
                 problems.append(f"others may read or write it; chmod 600 {path}")
             if private and about.st_uid not in (0, os.geteuid()):
-                problems.append(f"belongs to user {about.st_uid}, neither to root nor to this one")
+                problems.append(
+                    f"belongs to user {about.st_uid}, not to root or the current user; chown it"
+                )
             if problems:
                 raise ConfigError(str(path), problems)
             return file.read(_MOST_BYTES)
@@ -111,7 +113,10 @@ def next_trip(path: Path) -> int:
         if new:
             _sync_folder(path.parent)
     except OSError as error:
-        problem = f"the start cannot be counted there: {error.strerror}"
+        problem = (
+            f"the trip counter cannot be counted up: {error.strerror}; it needs a writable file in "
+            "a writable folder"
+        )
         raise ConfigError(str(path), [problem]) from None
     return number
 
@@ -119,11 +124,14 @@ def next_trip(path: Path) -> int:
 def _after(path: Path, content: bytes, *, new: bool) -> int:
     text = content.decode("ascii", errors="replace").strip()
     if not (text.isascii() and text.isdigit() and len(text) < 9) and not (new and not content):
-        problem = "holds no number; write one that is higher than that of any start with this key"
+        problem = (
+            "contains no trip counter; write a number higher than that of any start with this key"
+        )
         raise ConfigError(str(path), [problem])
     number = int(text or "0") + 1
     if number >= 1 << 24:
-        raise ConfigError(str(path), ["24 bits of starts are used up: a new key, then count anew"])
+        problem = "the 24-bit trip counter is used up: make a new key, then delete this file"
+        raise ConfigError(str(path), [problem])
     return number
 
 

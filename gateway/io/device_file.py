@@ -70,7 +70,7 @@ def device_of(path: Path, node: int | None = None) -> Device:
         raise ConfigError(str(path), [str(error)]) from None
     eds = EdsText(text)
     if not eds.objects:
-        raise ConfigError(str(path), ["is no EDS or DCF: there is no object in it"])
+        raise ConfigError(str(path), ["is not an EDS or DCF: there is no object in it"])
     own, faults = _node_of(eds)
     faults = [*cut, *eds.faults, *faults, *_missing(eds)]
     heartbeat, heartbeat_fault = _heartbeat(eds)
@@ -96,7 +96,7 @@ def _node_of(eds: EdsText) -> tuple[int | None, list[str]]:
     number = number_of(found.text, 0)
     if number is not None and 1 <= number <= 127:
         return number, []
-    return None, [f"{_quoted(found)} is no number of a node, 1 to 127"]
+    return None, [f"{_quoted(found)} is not a node number, 1 to 127"]
 
 
 def _missing(eds: EdsText) -> list[str]:
@@ -131,7 +131,7 @@ def _pdo(eds: EdsText, number: int, index: int, node: int) -> tuple[Pdo | None, 
         return None, [f"TPDO{number} is left out: [{index:04X}sub1] has no value"]
     can_id = number_of(found.text, node)
     if can_id is None or not 0 <= can_id < 1 << 32:
-        return None, [f"TPDO{number} is left out: {_quoted(found)} is no identifier"]
+        return None, [f"TPDO{number} is left out: {_quoted(found)} is not an identifier"]
     if can_id & _UNUSED:
         return None, []
     objects, faults = _mapped(eds, index + MAPPING, node)
@@ -143,7 +143,7 @@ def _mapped(eds: EdsText, index: int, node: int) -> tuple[tuple[Mapped, ...], li
     first = eds.configured(index, 0)
     count = number_of(first.text, node) if first else 0
     if first and count is None:
-        return (), [f"{_quoted(first)} is no number of objects"]
+        return (), [f"{_quoted(first)} is not a number of objects"]
     if not count or not 0 <= count <= MOST_MAPPED:
         return (), []  # 254, 255: multiplexed PDOs, which name their object in the data
     out: list[Mapped] = []
@@ -153,7 +153,7 @@ def _mapped(eds: EdsText, index: int, node: int) -> tuple[tuple[Mapped, ...], li
         entry = number_of(found.text, node) if found else None
         if entry is None or not 0 <= entry < 1 << 32:
             what = f"[{index:04X}sub{k:X}] has no value"
-            what = f"{_quoted(found)} is no mapped object" if found else what
+            what = f"{_quoted(found)} is not a mapped object" if found else what
             return tuple(out), [f"{what}; mapped objects from it on are left out"]
         at, sub, length = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
         name = printable(eds.name_of(at, sub) or "not in the file")

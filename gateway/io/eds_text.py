@@ -49,7 +49,7 @@ class EdsText:
             elif "=" in line:
                 self._key(keys, name, line, number)
             else:
-                self.faults.append(f"line {number}: {line[:_LONGEST]!r} is no key and no section")
+                self.faults.append(f"line {number}: {line[:_LONGEST]!r} is neither key nor section")
 
     def _section(self, name: str, number: int) -> dict[str, Value]:
         if name.lower() in self.sections:

@@ -53,7 +53,7 @@ def priority() -> Finding:
     """Whether `--realtime` would be granted."""
     most, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if os.geteuid() == 0 or most > 0 or most == resource.RLIM_INFINITY:
-        return Finding("priority", "may be asked for")
+        return Finding("priority", "SCHED_FIFO permitted")
     return Finding(
         "priority", "not granted to this user (RLIMIT_RTPRIO is 0)",
         f"echo '{os.environ.get('USER', 'USER')} - rtprio 50' >> /etc/security/limits.conf, "

@@ -125,7 +125,7 @@ def advice(channel: str, found: Facts, bitrate: int = 0, data_bitrate: int = 0) 
     ):
         if expected and real and expected != real:
             lines.append(
-                f"{channel}: {what} is {real}, the gateway was told {expected}; "
+                f"{channel}: {what} is {real}, the gateway is configured for {expected}; "
                 f"{setting} {what} {expected}; ip link set {channel} up"
             )
     return lines

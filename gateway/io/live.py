@@ -30,8 +30,8 @@ log = logging.getLogger(__name__)
 FAREWELL = 3
 """Ticks with unknown flags that are sent before the gateway stops on purpose."""
 INTRUDER = (
-    "somebody else sends with the gateway's identifiers (a second gateway, or a log played with "
-    "the frames of one). Flags are unknown until 10 s after the last such frame, unless [bus] "
+    "another node sends with the gateway's identifiers (a second gateway, or a played log that "
+    "contains gateway frames). Flags are unknown until 10 s after the last such frame, unless [bus] "
     "on_intruder is set or flags are authenticated; CommFault stays Fault until a restart: find "
     "the other sender, then restart the gateway"
 )

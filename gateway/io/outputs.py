@@ -73,8 +73,8 @@ class Outputs:
         for can_id in wanted:
             last = self._made_ns.get(can_id)
             if last is None or now_ns - last >= self._cycles[can_id]:
-                found.append(f"{can_id:03X} is due and was not made")
+                found.append(f"{can_id:03X} is due but was not generated")
             elif self._late[can_id] > MOST_LATE and self._cycles[can_id] <= OFTEN_NS:
-                found.append(f"{can_id:03X} is made, but too late to be sent")
+                found.append(f"{can_id:03X} is generated, but too late to be sent")
         more = len(found) - MOST_NAMED
         return "; ".join(found[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -28,7 +28,7 @@ def prepare(
     }
     if signature is None or signature.public_key is None:
         if signature is not None and signature.signature is not None:
-            raise ConfigError("--signature", ["says nothing without --public-key"])
+            raise ConfigError("--signature", ["has no effect without --public-key"])
         config = load(path, **given)
         return config, bind(config.dbc_path, config.nodes)
     from gateway.io.signing import check_digest, check_files, default_signature, verified

@@ -35,7 +35,7 @@ def be_realtime(priority: int) -> None:
     if not LEAST <= priority <= MOST:
         problems.append(f"priority {priority} is not {LEAST} to {MOST}")
     elif given:
-        log.info("--realtime %d is not asked for: started with %s", priority, _policy())
+        log.info("--realtime %d is ignored: already started with %s", priority, _policy())
     else:
         try:
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK

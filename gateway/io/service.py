@@ -62,7 +62,7 @@ class Manager:
         except BlockingIOError:
             return False
         except OSError as error:
-            log.warning("the service manager cannot be told: %s", error)
+            log.warning("the service manager cannot be notified: %s", error)
             return False
         return True
 
@@ -85,7 +85,7 @@ class Overseer:
         """Check a tick; call this at its end."""
         problem = self._outputs.judge(seen.sent, seen.results, seen.now_ns)
         if problem:
-            log.error("this tick does not count: %s", problem)
+            log.error("faulty output, watchdog not fed in this tick: %s", problem)
         if SendResult.FULL in seen.results:
             log.warning("%s: the transmit queue is full, frames are dropped", self._where)
         status = "STATUS=" + self._words(seen, problem)
@@ -100,7 +100,7 @@ class Overseer:
 
     def stopping(self) -> None:
         """Notify that the loop has ended; call this before the last frames, of unknown flags."""
-        self._manager.say("STOPPING=1", "STATUS=says unknown and stops")
+        self._manager.say("STOPPING=1", "STATUS=sends Unknown flags and stops")
 
     def _begin(self, seen: LiveSnapshot, status: str) -> None:
         self._ready = self._manager.say("READY=1", status)
@@ -115,7 +115,7 @@ class Overseer:
 
     def _words(self, seen: LiveSnapshot, problem: str) -> str:
         if problem:
-            return f"does not send as it should: {problem}"
+            return f"faulty output: {problem}"
         if self._outputs.silent():
             return INTRUDER
         if seen.status.state is not LinkState.UP:

@@ -85,7 +85,10 @@ def verified(signature: Path, public_key: Path) -> dict[str, str]:
             raise ConfigError(str(signature), ["is not a signature of a configuration"])
         key.verify(raw, signed)
     except (InvalidSignature, binascii.Error, UnicodeEncodeError):
-        problem = f"the signature is not of {public_key}, or what it vouches for was changed"
+        problem = (
+            f"the signature was not made with the key of {public_key}, or the signed digests were "
+            "changed"
+        )
         raise ConfigError(str(signature), [problem]) from None
     return seals
 

@@ -89,7 +89,9 @@ class SocketCan:
             msg = f"no SocketCAN in this kernel: {error.strerror}; load can_raw, or use -i virtual"
             raise ConfigError("bus", [msg]) from None
         if self._links is not None and not self._links.start():
-            log.warning("netlink is not allowed here: the bus state is told by error frames only")
+            log.warning(
+                "netlink is not allowed here: the bus state is known from error frames only"
+            )
             self._links = None
         self._ask()
 
@@ -119,7 +121,9 @@ class SocketCan:
             return EMPTY
         self._held = self._held + 1 if self._newest and self._kernel.queued(self._raw) else 0
         if self._held == STALLED_LOOKS:
-            self.status.note = f"{self.channel}: what was sent is still waiting; nothing is added"
+            self.status.note = (
+                f"{self.channel}: sent frames are still queued; no new ones are added"
+            )
         block = self._drain(self._raw, now)
         if not block.size and timeout_s > 0 and self._raw is not None:
             self._kernel.wait(self._raw, max(int(timeout_s * 1000), 1))
@@ -156,7 +160,9 @@ class SocketCan:
             return False
         if self._kernel.monotonic_ns() - offs[0] > BUS_OFF_WINDOW_NS:
             return False
-        self.status.note = f"{self.channel}: {len(offs)} bus-offs in a minute, silent until past"
+        self.status.note = (
+            f"{self.channel}: {len(offs)} bus-offs in a minute: nothing is sent until it has passed"
+        )
         return True
 
     def _send_failed(self, error: OSError) -> SendResult:
@@ -215,7 +221,7 @@ class SocketCan:
         if link is None:
             self._lose(f"{self.channel} is gone")
         elif self._ifindex and link.ifindex != self._ifindex:
-            self._lose(f"{self.channel} was made again")
+            self._lose(f"{self.channel} was re-created")
             self._retry_ns = now
         else:
             self._ifindex = link.ifindex

@@ -87,10 +87,10 @@ def fell_alone(drives: Sequence[Commanded]) -> dict[int, Finding]:
             at = alone[0]
             found[one.node] = Finding(
                 None,
-                f"TorqueCommand fell alone {t[at] - t[0]:.1f} s after the start, from "
+                f"only this drive's TorqueCommand fell, {t[at] - t[0]:.1f} s after the start, from "
                 f"{command[k, at] * one.rated_nm:.3g} to {command[k, at + back] * one.rated_nm:.3g}"
                 " Nm, and Torque with it. If the drive's slip control did that, map the command "
-                "before it; if the train's control did, all is well",
+                "before it; if the train's control did, change nothing",
             )
     return found
 

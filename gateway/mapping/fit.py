@@ -116,7 +116,7 @@ def _sum(data: Measured, motor: Motor) -> Iterator[Finding]:
     if np.count_nonzero(big) < LEAST:
         yield Finding(
             None,
-            "the sum of the phases cannot be checked: no part of the log has 0.1 I_rated",
+            "the sum of the phases cannot be checked: the current stays below 0.1 I_rated",
         )
         return
     share = float(np.median(np.abs(data.phase_sum[big]) / np.abs(data.current[big])))
@@ -156,8 +156,8 @@ def _rotation(data: Measured, motor: Motor, turns: float | None) -> Iterator[Fin
     if turns is None:
         yield Finding(
             None,
-            "sense of rotation and pole pairs cannot be checked: no part of the log has current "
-            "and a measured speed that fits it, and is slow enough for the rate of samples",
+            "sense of rotation and pole pairs cannot be checked: nowhere in the log do current and "
+            "measured speed agree at a speed low enough for the sampling rate",
         )
         return
     volts = np.abs(data.voltage[np.isfinite(data.voltage)])
@@ -235,7 +235,8 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
     w = scale * motor.pole_pairs * speed
     fast = np.abs(w) > max(FAST * float(np.abs(w).max()), 20.0)
     if np.count_nonzero(fast) < LEAST:
-        yield Finding(None, "flux linkage cannot be checked: no part of the log is fast enough")
+        text = "flux linkage cannot be checked: the speed is too low throughout the log"
+        yield Finding(None, text)
         return
     dt = float(np.median(np.diff(data.t)))
     # The voltage is the mean since the previous sample.
@@ -253,8 +254,8 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
         fits,
         f"{text}as configured"
         if fits
-        else f"{text}the configuration says {motor.psi_pm:g}, {named(ratio)} that: correct psi_pm "
-        "or L_s, or the scale of the voltages, or of Speed",
+        else f"{text}{named(ratio)} the configured {motor.psi_pm:g}: correct psi_pm or "
+        "L_s, or the scale of the voltages, or of Speed",
     )
     power = 1.5 * np.real(current * np.conj(emf))[fast]
     yield from _torque(data, motor, t[fast], power, scale)
@@ -274,7 +275,7 @@ def _torque(
     torque = np.interp(t, data.motion_t[known], data.torque[known])
     made = power / speed
     if float(np.abs(made).max()) < 0.1 * motor.T_rated:
-        yield Finding(None, "torque cannot be checked: no part of the log has 0.1 T_rated")
+        yield Finding(None, "torque cannot be checked: the torque stays below 0.1 T_rated")
         return
     ratio = _slope(made, torque)
     if np.linalg.norm(torque - ratio * made) > APART * np.linalg.norm(torque):

@@ -67,7 +67,7 @@ def plans(config: Config) -> list[Plan]:
     """Plans of all drives that have signals. Raises ConfigError with the problems of all drives."""
     mapped = [drive for drive in config.drive if drive.signals is not None]
     if mapped and config.sealed:
-        cure = "map them into a DBC of ours, which is signed, or leave out --public-key"
+        cure = "use a DBC with this project's messages, which is signed, or leave out --public-key"
         raise ConfigError("drive.signals", [f"its DBC is not covered by the signature; {cure}"])
     problems: list[str] = []
     out = []
@@ -184,14 +184,16 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
             known = ", ".join(signal.name for signal in spec.signals)
             why = _why(left_out, source.name)
             problems.append(
-                f"use.{name}: {source.message} has no signal {source.name!r}: {known}{why}"
+                f"use.{name}: {source.message} has no signal {source.name!r}; it has {known}{why}"
             )
             continue
         sources.setdefault(spec.index, []).append((name, source.name, source))
         of[name] = spec.index
         resolution[name] = abs(source.scale * (1e-3 if found.is_float else found.scale))
     unused = set(signals.cycle_ms) - {source.message for source in signals.use.values()}
-    problems += [f"cycle_ms.{name}: no signal of that message is used" for name in sorted(unused)]
+    problems += [
+        f"cycle_ms.{name}: no signal of this message is used; remove it" for name in sorted(unused)
+    ]
     spec_of, trigger = {}, {}
     for kind, parts in given(signals).items() if not problems else ():
         first = of[parts[0]]
@@ -249,7 +251,9 @@ def _messages(
             continue
         can_id = spec.can_id + signals.id_offset
         if not 0 <= can_id < (1 << (29 if spec.is_extended else 11)):
-            problems.append(f"id_offset: {spec.name} would have the identifier {can_id:#x}")
+            problems.append(
+                f"id_offset: {spec.name} would get the invalid identifier {can_id:#x}; correct it"
+            )
             can_id = spec.can_id
         cycle = signals.cycle_ms.get(spec.name)
         out.append(replace(

@@ -332,7 +332,7 @@ class MonitorApp(App[None]):
         if source.paused:
             text.append("  PAUSED", style=f"bold {ORANGE}")
         if not shown.link.received:
-            text.append("  nothing heard yet", style=ORANGE)
+            text.append("  nothing received yet", style=ORANGE)
         return text
 
     def _keys(self) -> Text:

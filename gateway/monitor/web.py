@@ -227,7 +227,7 @@ def bind(where: Listen) -> socket.socket:
         kind, address = _resolved(where)
         made = socket.socket(kind, socket.SOCK_STREAM)
     except OSError as error:
-        raise ConfigError(str(where), [f"cannot be listened at: {error.strerror}"]) from None
+        raise ConfigError(str(where), [f"cannot listen there: {error.strerror}"]) from None
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         # Accepted connections inherit these options.
@@ -241,7 +241,7 @@ def bind(where: Listen) -> socket.socket:
     except OSError as error:
         made.close()
         cure = "; name another port" if error.errno == 98 else ""
-        raise ConfigError(str(where), [f"cannot be listened at: {error.strerror}{cure}"]) from None
+        raise ConfigError(str(where), [f"cannot listen there: {error.strerror}{cure}"]) from None
     return made
 
 
@@ -257,7 +257,7 @@ def is_loopback(where: Listen) -> bool:
     try:
         _, address = _resolved(where)
     except OSError as error:
-        raise ConfigError(str(where), [f"is not known: {error.strerror}"]) from None
+        raise ConfigError(str(where), [f"cannot be resolved: {error.strerror}"]) from None
     return ipaddress.ip_address(address[0].partition("%")[0]).is_loopback
 
 

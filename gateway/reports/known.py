@@ -10,8 +10,11 @@ from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
 CURES: Final = {
-    "adhesion": ("wrong channel, DBC or motor? `traction-gateway check --log`", "warning"),
-    "thermal": ("limits come from `traction-gateway calibrate`", "note"),
+    "adhesion": (
+        "wrong channel, DBC or motor? run `traction-gateway check CONFIG --log LOG`",
+        "warning",
+    ),
+    "thermal": ("make limits with `traction-gateway calibrate`", "note"),
 }
 """For a flag that was never known: what to do, and the level of the message."""
 UNKNOWN: Final = "Unknown"

@@ -180,7 +180,7 @@ def _flagged(
     total = sum(seconds.values())
     known = total - seconds.get("Unknown", 0.0)
     if not known > 0.0:
-        return f"{name} was never known: nothing can be said of it."
+        return f"{name} was never known: there is no result."
     count = sum(n for (_, f, s), n in intervals.count.items() if (f, s) == (flag, state))
     found = _plural(count, one, many) if count else f"no {one}"
     never = _never(intervals, flag)
@@ -255,8 +255,8 @@ def _flags(run: Run) -> list[str]:
     lines = picture(what, run.figures[0]) if run.figures else []
     if run.trace.width > 1:
         lines += [
-            f"Pictures show stretches of {run.trace.width} ticks: smallest and largest value "
-            "of each, and the worst of its flags, so that a single tick is still seen.", ""
+            f"Each point of a picture covers {run.trace.width} ticks: smallest and largest value "
+            "and worst flag, so a single tick stays visible.", ""
         ]  # fmt: skip
     count, seconds = run.intervals.count, run.intervals.seconds
     rows = [
@@ -273,13 +273,12 @@ def _detections(run: Run) -> list[str]:
     judged, false = run.judged()
     lines: list[str] = []
     if run.truth is None:
-        lines += ["", "The truth is not known here, so nothing can be said of what was missed."]
+        lines += ["", "Without ground truth, missed events cannot be counted."]
     elif not judged:
         lines += ["", "In truth no adhesion was lost, and no motor or sensor had a thermal fault."]
     else:
-        lines += ["", "What was really so, and what became of it (without a flag of its own kind "
-                  "until its end it counts as missed; cut: the drive cut its own torque and the "
-                  "wheel never slid):", *_events(judged)]  # fmt: skip
+        lines += ["", "True events and their flags (missed: no flag of the same kind before the "
+                  "end; cut: the drive cut its own torque and the wheel never slid):", *_events(judged)]  # fmt: skip
     start_ns = run.trace.first_ns or 0
     known = run.truth is not None
     mine = list(run.intervals.of_drives())
@@ -290,7 +289,7 @@ def _detections(run: Run) -> list[str]:
         lines += ["", "Nothing was flagged."]
     others = list(run.intervals.other_bad())
     if others:
-        lines += ["", "What else was bad (sensors, communication, estimators, the train):",
+        lines += ["", "Other faults (sensors, communication, estimators, the train):",
                   *_intervals(others, start_ns, judged, false, known=known)]  # fmt: skip
     every = _intervals(mine, start_ns, judged, false, known=known)
     for (flag, state), n in run.intervals.left_out().items():
@@ -342,7 +341,7 @@ def _truth_of(i: Interval, judged: Sequence[Judged], false: set[Interval]) -> st
     if i in false:
         return "**false**"
     mine = [j for j in judged if j.by == i]
-    return ", ".join(f"{j.event.kind}, {j.delay_ms:,.0f} ms after its begin" for j in mine)
+    return ", ".join(f"{j.event.kind}, {j.delay_ms:,.0f} ms after its start" for j in mine)
 
 
 def _timing(timed: Timed | None) -> list[str]:
@@ -372,12 +371,12 @@ def _frames(run: Run) -> list[str]:
         lines += ["No frame was rejected, none was lost.", ""]
     load = run.trace.bus_load
     if load is None:
-        lines += ["Bus load: not known, the run was shorter than the second it is measured over."]
+        lines += ["Bus load: not known, the run was shorter than one second."]
     else:
         least, mean, most = load
         lines += [
-            f"Bus load {run.bus}, stuffing at its worst, by the second: mean {mean:.0f} %, "
-            f"least {least:.0f} %, most {most:.0f} %. Own frames are counted as they were sent."
+            f"Bus load {run.bus}, worst-case stuffing, per second: mean {mean:.0f} %, "
+            f"min {least:.0f} %, max {most:.0f} %. Own frames are counted as they were sent."
         ]
     return [*lines, ""]
 
@@ -386,14 +385,12 @@ def _glossary(runs: Sequence[Run]) -> list[str]:
     """Explanation of the report, with the reasons that occurred."""
     seen = {cause for run in runs for i in run.intervals.kept for cause in i.causes}
     rows = [(camel(r.name), text) for r, text in words.REASONS.items() if camel(r.name) in seen]
-    summary = (
-        "Seconds count from the first tick. An interval ends where the flag says something else"
-    )
+    summary = "Seconds count from the first tick. An interval ends when the flag changes"
     lines = ["## How to read this", "", f"{summary}, the last one with the run."]
     if not rows:
         return lines
     return [
         *lines,
-        "A flag that says `Unknown` says why; `traction-gateway explain REASON` says what to do:",
+        "Each `Unknown` has a reason; `traction-gateway explain REASON` explains what to do:",
         *table(("reason", "meaning"), rows),
     ]

@@ -57,8 +57,8 @@ def section(
         lines.append(f"| {s.name} | {s.values} | {spans} | {100.0 * s.p99 / period_ns:.1f} % |")
     return [
         *lines,
-        "", "lateness: of a tick's begin after its deadline. The rest is of the frame that "
-        "completed the newest sample, from the kernel's stamp: waiting for the tick; reading "
+        "", "lateness: delay of a tick's start after its deadline. The other stages follow the "
+        "frame that completed the newest sample, from its kernel time stamp: waiting for the tick; reading "
         "the queue; deciding (decode, estimate, judge, encode); sending, until the tick's last "
         "frame is handed over; and all of it, frame to flag.",
         "", f"![Histograms of every stage]({picture}.svg)", "",

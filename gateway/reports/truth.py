@@ -215,7 +215,7 @@ def _range(path: Path) -> tuple[float, float]:
     try:
         return first.t_s, _row(last.split(",")).t_s
     except (ValueError, KeyError):
-        raise ConfigError(str(path), ["its last line is no row of truth"]) from None
+        raise ConfigError(str(path), ["its last line is not a row of truth"]) from None
 
 
 def rows(path: Path) -> Iterator[Row]:
@@ -229,7 +229,7 @@ def rows(path: Path) -> Iterator[Row]:
             for cells in lines:
                 yield _row(cells)
         except (ValueError, KeyError, csv.Error):
-            raise ConfigError(str(path), [f"line {lines.line_num} is no row of truth"]) from None
+            raise ConfigError(str(path), [f"line {lines.line_num} is not a row of truth"]) from None
 
 
 def _row(cells: Sequence[str]) -> _Text:

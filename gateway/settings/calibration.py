@@ -33,24 +33,23 @@ NO_HEAT = (
     "calibrate with a model"
 )
 NO_HOURS = (
-    "the calibration has no fault-free hours that nothing was learnt from; set this key and run "
-    "'traction-gateway calibrate' with one log more"
+    "the calibration has no held-back fault-free hours; set this key and run 'traction-gateway "
+    "calibrate' with one more log"
 )
 
 
-Kelvin = Annotated[float, within(-300, 300, "K", "calibrate anew")]
-Noise = Annotated[float, within(0, 100, "K", "calibrate anew")]
-Limit = Annotated[
-    float, within(0.01, 100, "K", "beyond that no fault would be found: calibrate anew")
-]
-Gain = Annotated[float, within(0.01, 100, "", "no motor warms like that: calibrate anew")]
-Rate = Annotated[float, within(-1e3, 1e3, "", "calibrate anew")]
-Held = Annotated[float, within(0, 1e7, "s", "calibrate anew")]
-Step = Annotated[float, within(0, 400, "K", "calibrate anew")]
-Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate anew")]
-Share = Annotated[float, within(0, 1, "", "calibrate anew")]
-LogOdds = Annotated[float, within(-100, 100, "", "calibrate anew")]
-Hour = Annotated[int, within(1, 10**7, "h", "calibrate anew")]
+AGAIN = "run 'traction-gateway calibrate' again"
+Kelvin = Annotated[float, within(-300, 300, "K", AGAIN)]
+Noise = Annotated[float, within(0, 100, "K", AGAIN)]
+Limit = Annotated[float, within(0.01, 100, "K", f"beyond that no fault would be found: {AGAIN}")]
+Gain = Annotated[float, within(0.01, 100, "", f"no motor warms like that: {AGAIN}")]
+Rate = Annotated[float, within(-1e3, 1e3, "", AGAIN)]
+Held = Annotated[float, within(0, 1e7, "s", AGAIN)]
+Step = Annotated[float, within(0, 400, "K", AGAIN)]
+Duty = Annotated[float, within(-1e9, 1e9, "", AGAIN)]
+Share = Annotated[float, within(0, 1, "", AGAIN)]
+LogOdds = Annotated[float, within(-100, 100, "", AGAIN)]
+Hour = Annotated[int, within(1, 10**7, "h", AGAIN)]
 Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
@@ -73,9 +72,9 @@ class MotorHeat(Deferred):
     offset_k: Three
     centre_k: Three
     noise_k: tuple[Noise, Noise, Noise]
-    inflation: Annotated[float, within(1, 100, "", "calibrate anew")] | None = None
+    inflation: Annotated[float, within(1, 100, "", AGAIN)] | None = None
     covered: tuple[Share, Share] | None = None
-    lag_one: Annotated[float, within(-1, 1, "", "calibrate anew")] | None = None
+    lag_one: Annotated[float, within(-1, 1, "", AGAIN)] | None = None
 
 
 class FleetHeat(Deferred):
@@ -88,9 +87,9 @@ class FleetHeat(Deferred):
     largest_log_odds: `Hours` of `promise` (None: calibrated without a stated rate of false alarms).
     """
 
-    scale: Annotated[float, within(1e-6, 1e6, "", "calibrate anew")]
+    scale: Annotated[float, within(1e-6, 1e6, "", AGAIN)]
     duty: tuple[Duty, Duty, Duty, Duty]
-    own_k: Annotated[float, within(1e-6, 10, "K", "calibrate anew")] | None = None
+    own_k: Annotated[float, within(1e-6, 10, "K", AGAIN)] | None = None
     held_back_h: Hour | None = None
     largest_log_odds: (
         Annotated[tuple[LogOdds, ...], Field(min_length=1, max_length=STORED)] | None
@@ -119,7 +118,9 @@ class Calibration(Deferred):
     maisd_limit_k, deviation_limit_k: (stator, drive end, non-drive end).
     """
 
-    window_s: Annotated[float, within(0.1, 3600, "s", "that of [thermal] in the configuration")]
+    window_s: Annotated[
+        float, within(0.1, 3600, "s", "use [thermal] window_s of the configuration")
+    ]
     maisd_limit_k: tuple[Limit, Limit, Limit]
     deviation_limit_k: tuple[Limit, Limit, Limit]
     motor: tuple[MotorCalibration, ...]
@@ -259,7 +260,7 @@ def load(
     if abs(calibration.window_s - window_s) > 1e-9:
         problems.append(
             f"window_s: calibrated for {calibration.window_s} s, configured {window_s} s; "
-            "limits hold for one window only"
+            "set the calibrated window_s, or calibrate again"
         )
     if problems:
         raise ConfigError(str(path), numbered(problems, text))

@@ -42,7 +42,7 @@ class Extended(Strict):
 
 
 Milliseconds = Annotated[
-    int, within(0, 500, "ms", "a loss that is found half a second late helps no control")
+    int, within(0, 500, "ms", "half a second is too late for slip control: give it in ms")
 ]
 Hold = Annotated[int, within(0, 5000, "ms", "longer than any flag needs: give it in ms")]
 Seconds = Annotated[float, within(0, 3600, "s", "give it in seconds")]
@@ -144,7 +144,7 @@ class Estimator(Strict):
     process_noise: Variances = (1e-4, 1e-4, 1e-5, 1e-6, 0.1)
     """Variances added per 125 us: A^2, A^2, (rad/s)^2, rad^2, Nm^2 (adhesion-paper order)."""
     min_speed_rad_s: Annotated[
-        float, within(1, 300, "rad/s", "electrical; below it flags stay unknown")
+        float, within(1, 300, "rad/s", "give an electrical speed; below it flags stay unknown")
     ] = 20.0
     """Electrical speed; below it, load and angle are not observable."""
 
@@ -164,9 +164,11 @@ class Adhesion(Extended):
     observe: Literal["torque", "speed", "both"] = Field(
         "torque", description="what the paper's VB compares; the others compare torque"
     )
-    tolerance: Annotated[float, within(0, 1, "", "a share of the bound: 1 is one sweep")] = 0.0
+    tolerance: Annotated[
+        float, within(0, 1, "", "give a share of the bound; 1 stops after one iteration")
+    ] = 0.0
     """For the paper's VB: sweeps end once the bound grows by less; 0: five sweeps."""
-    reuse: Annotated[float, within(0, 0.99, "", "with 1 nothing new would be learnt")] = 0.0
+    reuse: Annotated[float, within(0, 0.99, "", "at 1 new data would have no effect")] = 0.0
     """For the paper's VB: share of the last posterior in the next prior; 0: none, or 0.5 with
     `paper_vb_reuse`."""
     spread_nm: Annotated[
@@ -175,10 +177,10 @@ class Adhesion(Extended):
     ] = 0.7
     """Load spread of healthy drives, at 30 Nm."""
     raise_probability: Annotated[
-        float, within(0.71, 0.999, "", "0.7 is sent while the probability is not known")
+        float, within(0.71, 0.999, "", "0.7 means undecided: give a larger value")
     ] = 0.9
     clear_probability: Annotated[
-        float, within(0.01, 0.69, "", "0.7 is sent while the probability is not known")
+        float, within(0.01, 0.69, "", "0.7 means undecided: give a smaller value")
     ] = 0.5
     raise_ms: Milliseconds = 10
     """The defaults of this and the next two are 10 ms longer for a detector without memory."""
@@ -209,9 +211,13 @@ class Thermal(Extended):
     method: Literal["model", "maisd"] = Field(
         "model", description="a thermal model of each motor, or only how they differ"
     )
-    limit_k: Annotated[float, within(0.1, 300, "K", "that a motor may grow warmer")] = 10.0
+    limit_k: Annotated[
+        float, within(0.1, 300, "K", "give the allowed temperature rise over the other motors")
+    ] = 10.0
     """How much warmer than the others a motor may become."""
-    window_s: Annotated[float, within(0.1, 3600, "s", "of the moving average, in seconds")] = 5.0
+    window_s: Annotated[
+        float, within(0.1, 3600, "s", "give the length of the moving average in s")
+    ] = 5.0
     """Window of the causal moving average."""
     raise_s: Seconds = 1.0
     clear_s: Seconds = 5.0

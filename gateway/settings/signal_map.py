@@ -29,7 +29,7 @@ VOLTAGES: Final = (("Ualpha", "Ubeta"), ("Ud", "Uq"))
 
 
 LEAST_SCALE: Final = 1e-9
-Raw = Annotated[int, within(-(2**63), 2**64 - 1, "", "raw, as the DBC's signal holds it")]
+Raw = Annotated[int, within(-(2**63), 2**64 - 1, "", "give the raw value, before scale and offset")]
 
 
 class Source(BaseModel):
@@ -38,10 +38,13 @@ class Source(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     signal: str = Field(pattern=r"^\w+\.\w+$", description='"Message.Signal" of that DBC')
-    scale: Annotated[float, within(-1e6, 1e6, "", "no unit is so large")] = 1.0
+    scale: Annotated[float, within(-1e6, 1e6, "", "no unit conversion has such a factor")] = 1.0
     offset: Annotated[float, within(-1e6, 1e6, "", "no offset is so large")] = 0.0
     not_available: tuple[Raw, ...] = Field((), description="raw values that mean no value")
-    settle_ms: Annotated[float, within(0, 60_000, "ms", "after power-up, or a silence")] = 0.0
+    settle_ms: Annotated[
+        float,
+        within(0, 60_000, "ms", "give the time it is unused after power-up or a silence"),
+    ] = 0.0
     """Time during which the signal is not used."""
 
     @model_validator(mode="before")
@@ -52,7 +55,7 @@ class Source(BaseModel):
     @model_validator(mode="after")
     def _some_scale(self) -> Source:
         if abs(self.scale) < LEAST_SCALE:
-            msg = f"scale: {self.scale:g} leaves nothing of the signal"
+            msg = f"scale: {self.scale:g} is too small: the signal would be 0"
             raise ValueError(msg)
         return self
 
@@ -77,7 +80,7 @@ class Signals(BaseModel):
     """Added to every identifier of that file."""
     cycle_ms: dict[
         str,
-        Annotated[float, within(0.1, 3_600_000, "ms", "none is shorter: give it in ms")],
+        Annotated[float, within(0.1, 3_600_000, "ms", "give the cycle time in ms")],
     ] = Field(
         default_factory=dict, description="by message, where that file has no GenMsgCycleTime"
     )
@@ -93,9 +96,9 @@ class Signals(BaseModel):
                 if missing:
                     problems.append(f"{what} as {', '.join(form)}: {', '.join(missing)} missing")
             if len(begun) > 1:
-                problems.append(f"{what} in {len(begun)} forms; map one of them")
+                problems.append(f"{what} in {len(begun)} forms; map only one form")
         if "Ud" in self.use and "ElectricalAngle" not in self.use:
-            problems.append("Ud, Uq without ElectricalAngle cannot be turned into phases")
+            problems.append("Ud, Uq need ElectricalAngle: map it, too")
         if "Ic" in self.use and "Ia" not in self.use:
             problems.append("currents as Ia, Ib: Ia, Ib missing")
         if problems:

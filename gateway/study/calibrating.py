@@ -47,8 +47,8 @@ NEEDED = {
 }
 """Quantities needed in each second, by their name in `Sample`."""
 NO_HOUR = (
-    "needs two logs or more; no model is learnt from the last one, which gives the limit and must "
-    "have an hour at least"
+    "needs two logs or more; the last one is held back to set the limit and must last at least an "
+    "hour"
 )
 SPAN_K = 5.0
 """Least range of the fleet's mean over the logs with which a gain is learnt."""
@@ -140,8 +140,9 @@ class Learner:
         shortest = round(min(len(run.at) for run in runs) * self.dt_s)
         if shortest < FEWEST_SECONDS * self.dt_s:
             return [
-                f"{shortest} s of a run with everything known, {FEWEST_SECONDS * self.dt_s:g} s "
-                f"needed (one log is parted: {FIT_SHARE:.0%} of it to fit)"
+                f"the shortest run with all values known has {shortest} s, "
+                f"{FEWEST_SECONDS * self.dt_s:g} s needed (a single log is split: {FIT_SHARE:.0%} "
+                "for the fit)"
             ]
         return ["the currents never varied: record a changing duty"]
 

@@ -78,9 +78,9 @@ def _mean(values: Array) -> Array:
 def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
     """A line for each motor with a measured coverage, and a note on filters that do not hold."""
     out = [
-        f"drive {node}: filters widened {inflation:.2f} times; their band of 95 % then has "
-        f"{100.0 * light:.0f} % of the blocks with less and {100.0 * heavy:.0f} % of those with "
-        f"more copper loss; correlation from block to block {lag_one:.2f}"
+        f"drive {node}: filters widened {inflation:.2f} times; their 95 % band then contains "
+        f"{100.0 * light:.0f} % of the blocks with low and {100.0 * heavy:.0f} % of those with "
+        f"high copper loss; correlation from block to block {lag_one:.2f}"
         for node, inflation, (light, heavy), lag_one in zip(nodes, *coverage, strict=True)
         if np.isfinite(lag_one)
     ]
@@ -88,7 +88,7 @@ def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
     if unexplained:
         out.append(
             f"note: drive {', '.join(unexplained)} will be Unknown with reason Config: the filters "
-            "do not hold; record fault-free logs in which it is driven like the others"
+            "do not fit it; record fault-free logs with the same duty as the others"
         )
     return out
 
@@ -97,8 +97,8 @@ def lines(found: Sequence[Fit]) -> list[str]:
     """A line for each motor, and a note if there are motors that the model does not explain."""
     hours = (found[0].t_s[-1] - found[0].t_s[0]) / 3600.0
     out = [
-        f"On {hours:.2f} h that the fit has not seen: error of the model, and for how much of the "
-        "second half it stayed within two sigma of the first"
+        f"On {hours:.2f} h held back from the fit: model error, and share of the second half within "
+        "two sigma of the first half"
     ]
     for fit in found:
         parts = [
@@ -110,8 +110,8 @@ def lines(found: Sequence[Fit]) -> list[str]:
     badly = [str(fit.node) for fit in found if not fit.explained]
     if badly:
         out.append(
-            f"note: the model does not explain drive {', '.join(badly)} as well later as at first; "
-            "record more duties, or longer ones, or limits will be too tight"
+            f"note: the model does not explain drive {', '.join(badly)} as well in the second "
+            "half; record more or longer duty cycles, otherwise limits are too tight"
         )
     return out
 

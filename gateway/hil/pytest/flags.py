@@ -89,8 +89,8 @@ class GatewayFlags:
         if bench.run_until(broken, for_ms / 1000.0):
             at = (bench.now_ns - began) / MS
             raise AssertionError(
-                f"{flag}{who} was never to be {state} for {for_ms:g} ms; it was after {at:g} ms\n"
-                + self.show(began)
+                f"{flag}{who} was expected never to be {state} for {for_ms:g} ms; it was after "
+                f"{at:g} ms\n" + self.show(began)
             )
         if len(self._seen(flag, drive)) == count:
             raise AssertionError(
@@ -157,6 +157,6 @@ class GatewayFlags:
         if flag in OF_THE_SET:
             drive = 0
         elif drive not in self._bench.nodes:
-            msg = f"drive {drive} is none of {self._bench.nodes}: name one of them"
+            msg = f"drive {drive} is not one of {self._bench.nodes}: name one of them"
             raise ValueError(msg)
         return self.track.seen.get((flag, drive), [])

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 MARK = (
     "hil(scenario=NAME or FILE, config=FILE, settle=True, drives=3, motion={..}, load={..}, ..): "
-    "what the bench of the test is: a scenario, or tables of one; settle: run until all is good; "
-    "expect_known=PERCENT: for how much of the test every adhesion flag must know"
+    "bench of the test, from a scenario or its tables; settle: first run until all flags are good; "
+    "expect_known=PERCENT: least share of the test in which every adhesion flag is known"
 )
 GLOBS = ("hil_*.toml",)
 """No wider pattern: pytest loads this plugin in any project, and these have TOML files too."""
@@ -41,8 +41,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--hil-gateway", choices=("own", "external"), default="own",
                     help="external: the gateway under test runs elsewhere on the bus")  # fmt: skip
     group.addoption("--hil-expect-known", action="append", default=[], metavar="[FLAG=]PERCENT",
-                    help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew for "
-                         "less of its time; `hil(expect_known=PERCENT)`: of one test")  # fmt: skip
+                    help="fail a test in which a drive's adhesion flag (or FLAG=thermal) was "
+                         "known for less of the time; for one test: `hil(expect_known=PERCENT)`")  # fmt: skip
     group.addoption(
         "--hil-mutant",
         metavar="NUMBER[:SEED]",

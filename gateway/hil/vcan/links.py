@@ -36,7 +36,7 @@ class Links(NamedTuple):
         """Problems of the names and the record, one per line."""
         names = [*self.vcan, *(name for pair in self.vxcan for name in pair), *self.slcan]
         odd = [
-            f"{name!r} is no name of an interface" for name in names if not _NAME.fullmatch(name)
+            f"{name!r} is not a name of an interface" for name in names if not _NAME.fullmatch(name)
         ]
         twice = sorted({name for name in names if names.count(name) > 1})
         found = odd + [f"{name} is there twice" for name in twice]

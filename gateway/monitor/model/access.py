@@ -62,7 +62,8 @@ def token_of(content: bytes, name: str) -> bytes:
     token = content.strip()
     problems = []
     if len(token) < LEAST_TOKEN:
-        problems.append(f"{len(token)} bytes are no token; {LEAST_TOKEN} are the least")
+        few = f"{len(token)} bytes are too short for a token"
+        problems.append(f"{few}; at least {LEAST_TOKEN} are needed")
     elif len(set(token)) < LEAST_KINDS:
         problems.append("too few different characters for a token")
     if not all(0x21 <= byte <= 0x7E for byte in token):
@@ -149,11 +150,11 @@ class Access:
         """None if Host and Origin name this machine. headers: names in lower case."""
         host = headers.get("host", "")
         if not self._ours(host):
-            cure = "use the address in numbers" if self.wants_token else "use 127.0.0.1"
+            cure = "use the IP address" if self.wants_token else "use 127.0.0.1"
             return Refusal(403, "host", f"this is not a name of this machine; {cure}")
         ours = {f"{scheme}://{host}".lower() for scheme in ("http", "https")}
         if headers.get("origin", f"http://{host}").lower() not in ours:
-            return Refusal(403, "origin", "asked by a page from elsewhere")
+            return Refusal(403, "origin", "the request comes from a page of another origin")
         return None
 
     def person(
@@ -173,7 +174,7 @@ class Access:
             given = given.strip() if scheme.lower() == "bearer" else ""
         unknown = (("www-authenticate", 'Bearer realm="traction-gateway"'),)
         if not given:
-            text = "a token is wanted: 'Authorization: Bearer TOKEN', or once /?token=TOKEN"
+            text = "a token is required: 'Authorization: Bearer TOKEN', or once /?token=TOKEN"
             return Refusal(401, "no_token", text, unknown)
         if waits := self._wrong.waits_s(address, now_s):
             again = (("retry-after", str(int(waits) + 1)),)

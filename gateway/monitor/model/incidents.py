@@ -14,7 +14,7 @@ from gateway.monitor.model.snapshot import Event, GatewayRow, word
 KEPT: Final = 200
 OFTEN: Final = 4
 """Most events of one kind in a second: a fluttering state must not displace all other events."""
-NO_FLAGS: Final = "no flags of the gateway any more"
+NO_FLAGS: Final = "gateway's flags no longer received"
 MARK: Final = " (shadow)"
 INFO, WARNING, ERROR = "info", "warning", "error"
 _LEVELS: Final[dict[type[IntEnum], dict[int, str]]] = {
@@ -72,7 +72,7 @@ class Happenings:
             return
         window[1] += 1
         if window[2]:
-            text += f" ({window[2]} more left out before)"
+            text += f" ({window[2]} earlier ones suppressed)"
             window[2] = 0
         self.note(t_ns, level, drive or None, text)
 
@@ -88,7 +88,7 @@ class Happenings:
         If the gateway's frames stop, this is one event; the flags then unknown give no others.
         """
         if self.changed("alive", 0, row.alive):
-            text = "flags of the gateway are heard" if row.alive else NO_FLAGS
+            text = "gateway's flags received" if row.alive else NO_FLAGS
             self.often(t_ns, "alive", 0, INFO if row.alive else ERROR, text)
         if row.source == "none" and row.present:
             return

@@ -38,7 +38,11 @@ DRIVE_GAUGES: Final = (
     ("speed_radians_per_second", "speed_rad_s", "Estimated mechanical speed"),
     ("measured_speed_radians_per_second", "measured_speed_rad_s", "The drive's own speed"),
     ("load_torque_newton_meters", "load_nm", "Estimated load torque"),
-    ("load_torque_sigma_newton_meters", "load_sigma_nm", "Its standard deviation, of the shadow"),
+    (
+        "load_torque_sigma_newton_meters",
+        "load_sigma_nm",
+        "Standard deviation of the load torque, from the shadow gateway",
+    ),
     ("loss_probability_ratio", "loss_probability", "Probability that adhesion is lost"),
     ("nis", "nis", "Normalised innovation squared of the estimator"),
     ("maisd_kelvin", "maisd_k", "MAISD: moving average inter-state standard deviation"),
@@ -53,6 +57,7 @@ DRIVE_STATES: Final = {
 LINK_STATES: Final = ("active", "warning", "passive", "bus-off", "absent", "down")
 LEVELS: Final = ("info", "warning", "error")
 US: Final = 1e-6
+REPORTED: Final = "as the gateway reports it"
 Samples = Iterable[tuple[tuple[str, ...], float | None]]
 """Label values and a number for each sample; a number of None gives no sample."""
 
@@ -88,7 +93,8 @@ def of_snapshot(shown: Snapshot) -> Iterator[Metric]:
 
 def _of_gateway(row: GatewayRow) -> Iterator[Metric]:
     labels = {"config_hash": row.config_hash, "detector": row.detector, "source": row.source}
-    about = InfoMetricFamily(PREFIX.rstrip("_"), "What runs, by its own word, and who says so")
+    text = "Configuration hash and detector that the gateway reports, and their source"
+    about = InfoMetricFamily(PREFIX.rstrip("_"), text)
     about.add_metric([], {key: value for key, value in labels.items() if value is not None})
     yield about
     flags: Samples = [((name,), int(getattr(row, name))) for name in SET_FLAGS]
@@ -98,13 +104,13 @@ def _of_gateway(row: GatewayRow) -> Iterator[Metric]:
     reasons = [(("adhesion",), _name(row.reason)), (("thermal",), _name(row.thermal_reason))]
     yield _state("reason", "Why flags are unknown", _names(Reason), reasons, ("flags",))
     for name, text, value, scale in (
-        ("alive", "1 if flags newer than 100 ms are heard", int(row.alive), 1),
-        ("heard", "1 if a gateway was ever heard on this bus", int(row.present), 1),
+        ("alive", "1 if flags of the last 100 ms were received", int(row.alive), 1),
+        ("heard", "1 if a gateway was ever seen on this bus", int(row.present), 1),
         ("sample_age_seconds", "Oldest sample that the flags rest on", row.age_ms, 1e-3),
-        ("flags_age_seconds", "Since the last believed flag frame", row.flags_age_ms, 1e-3),
-        ("latency_p99_seconds", "Reception to flag, the gateway's word", row.latency_p99_us, US),
-        ("lateness_p99_seconds", "Ticks behind time, the gateway's word", row.lateness_p99_us, US),
-        ("reported_bus_load_ratio", "Bus load, the gateway's word", row.bus_load_pct, 0.01),
+        ("flags_age_seconds", "Since the last accepted flag frame", row.flags_age_ms, 1e-3),
+        ("latency_p99_seconds", f"Reception to flag, {REPORTED}", row.latency_p99_us, US),
+        ("lateness_p99_seconds", f"Ticks behind time, {REPORTED}", row.lateness_p99_us, US),
+        ("reported_bus_load_ratio", f"Bus load, {REPORTED}", row.bus_load_pct, 0.01),
     ):
         yield _gauge(name, text, [((), None if value is None else value * scale)])
     for name, text, count in (
@@ -113,7 +119,7 @@ def _of_gateway(row: GatewayRow) -> Iterator[Metric]:
         ("lost_frames", "Frames lost", row.lost_frames),
     ):
         # To Prometheus a saturated counter that starts again is like any restart.
-        yield _counter(name, f"{text}, the gateway's word; stays at 4094", [((), count)])
+        yield _counter(name, f"{text}, {REPORTED}; saturates at 4094", [((), count)])
 
 
 def _of_drives(rows: Iterable[DriveRow]) -> Iterator[Metric]:
@@ -147,7 +153,7 @@ def _of_drives(rows: Iterable[DriveRow]) -> Iterator[Metric]:
 
 
 def _of_link(row: LinkRow) -> Iterator[Metric]:
-    yield _state("link_state", "The bus as it is found here", LINK_STATES, [((), row.state)])
+    yield _state("link_state", "Bus state seen by this monitor", LINK_STATES, [((), row.state)])
     load = None if row.bus_load_pct is None else row.bus_load_pct / 100
     text = "Measured bus load, worst-case stuffing"
     yield _gauge("link_bus_load_ratio", text, [((), load)])

@@ -205,7 +205,7 @@ class Observer:
             self.counts[cause or "believed"] += 1
             if cause in SECOND_SENDERS and track.doubled(t_ns) and spec.name not in self._doubled:
                 self._doubled.add(spec.name)
-                text = f"two send {spec.name}: neither is believed"
+                text = f"two nodes send {spec.name}: both are rejected"
                 self._happenings.note(t_ns, GRAVE, spec.node or None, text)
             if cause is None and spec.name == "Gateway_Adhesion":
                 counter = counter_of(spec, data)
@@ -266,7 +266,10 @@ class Observer:
         if (word := gateway.config_hash) is not None and word != self._hash:
             self._hash = word
             if word != self._own_hash:
-                text = f"configuration {word}, not {self._own_hash} as here: no sigma"
+                text = (
+                    f"gateway has configuration {word}, this monitor {self._own_hash}: no sigma is "
+                    "shown"
+                )
                 happenings.note(now, WARNING, None, text)
         for name in [name for name in self._doubled if not self.tracks[name].doubled(now)]:
             self._doubled.remove(name)

@@ -138,7 +138,7 @@ def detail(shown: Snapshot, selected: int) -> Text:
         f"degC  MAISD {number(row.maisd_k, 2)} K\n"
         f"{row.state or 'state ?'}, {row.heartbeat or 'heartbeat ?'}  "
         f"measured {number(row.measured_speed_rad_s)} rad/s  NIS {number(row.nis)}  "
-        f"rejected {row.rejected}  heard {age(row.age_s)}"
+        f"rejected {row.rejected}  last frame {age(row.age_s)}"
     )
     if row.fault_sensor:
         text.append(f"  at {word('', row.fault_sensor)}", style=ORANGE)
@@ -151,7 +151,7 @@ def gateway(shown: Snapshot) -> Text:
     text = Text(no_wrap=True)
     text.append("GATEWAY ", style=f"bold {SKY}")
     if row.source == "shadow":
-        text.append("? none here, SHADOW: the monitor's own", style=f"bold {ORANGE}")
+        text.append("? no gateway here, SHADOW: computed by this monitor", style=f"bold {ORANGE}")
     elif not row.present:
         text.append("? no gateway on this bus", style=f"bold {ORANGE}")
     elif not row.alive:
