@@ -111,8 +111,8 @@ class Verifier:
             return None
         new, self._reported, self._reported_ns = wrong - self._reported, wrong, now
         return (
-            f"{new} more frames failed authentication ({self.failed} with a wrong MAC or freshness, "
-            f"{self.alone} without a flag frame, {self.accepted} genuine so far)"
+            f"{new} more frames failed authentication ({self.failed} with a wrong MAC or "
+            f"freshness, {self.alone} without a flag frame, {self.accepted} genuine so far)"
         )
 
     def _accept(self, found: Genuine, value: int, now: Nanos) -> Genuine:

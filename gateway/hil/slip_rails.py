@@ -67,7 +67,8 @@ LIBRARY: Final[dict[str, Track]] = {
         Track("leaves", "20 m of leaves on wet rail", _PATCH),
         Track("film", "leaves, a film that breaks through", _one(LEAVES), film_j=15.0),
         Track("small_wheel", "wheel 4 is 3 % smaller, leaves", _PATCH, (1.0, 1.0, 1.0, 0.97)),
-        Track("rotation", "wheel rotation monitoring: axle 3 ignores the controller", _one(WET), stuck=2),
+        Track("rotation", "wheel rotation monitoring: axle 3 ignores the controller", _one(WET),
+              stuck=2),
         Track("degraded", "degraded: axle 2 is cut out", _PATCH, cut_out=1),
     )
 }  # fmt: skip

@@ -31,9 +31,9 @@ FAREWELL = 3
 """Ticks with unknown flags that are sent before the gateway stops on purpose."""
 INTRUDER = (
     "another node sends with the gateway's identifiers (a second gateway, or a played log that "
-    "contains gateway frames). Flags are unknown until 10 s after the last such frame, unless [bus] "
-    "on_intruder is set or flags are authenticated; CommFault stays Fault until a restart: find "
-    "the other sender, then restart the gateway"
+    "contains gateway frames). Flags are unknown until 10 s after the last such frame, unless "
+    "[bus] on_intruder is set or flags are authenticated; CommFault stays Fault until a restart: "
+    "find the other sender, then restart the gateway"
 )
 OLDEST = 2
 """Age in ticks above which a step's frames are not sent any more: the process stalled between

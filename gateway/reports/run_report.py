@@ -278,7 +278,8 @@ def _detections(run: Run) -> list[str]:
         lines += ["", "In truth no adhesion was lost, and no motor or sensor had a thermal fault."]
     else:
         lines += ["", "True events and their flags (missed: no flag of the same kind before the "
-                  "end; cut: the drive cut its own torque and the wheel never slid):", *_events(judged)]  # fmt: skip
+                  "end; cut: the drive cut its own torque and the wheel never slid):",
+                  *_events(judged)]  # fmt: skip
     start_ns = run.trace.first_ns or 0
     known = run.truth is not None
     mine = list(run.intervals.of_drives())

@@ -58,9 +58,9 @@ def section(
     return [
         *lines,
         "", "lateness: delay of a tick's start after its deadline. The other stages follow the "
-        "frame that completed the newest sample, from its kernel time stamp: waiting for the tick; reading "
-        "the queue; deciding (decode, estimate, judge, encode); sending, until the tick's last "
-        "frame is handed over; and all of it, frame to flag.",
+        "frame that completed the newest sample, from its kernel time stamp: waiting for "
+        "the tick; reading the queue; deciding (decode, estimate, judge, encode); sending, until "
+        "the tick's last frame is handed over; and all of it, frame to flag.",
         "", f"![Histograms of every stage]({picture}.svg)", "",
     ]  # fmt: skip
 

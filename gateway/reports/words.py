@@ -27,7 +27,8 @@ COUNTS: Final = {
     "lost": "frames missing according to their counters (they are not in `received`)",
     "unpaired": "currents without voltages of the same instant, or the reverse: not used",
     "late": "the second frame of a sample came too late to be paired: not used",
-    "left_out": "samples skipped by the sender without a counter step: seen by the delay of the next sample",
+    "left_out": "samples skipped by the sender without a counter step: seen by the delay of the "
+    "next sample",
 }
 """Meaning of a counter by its name."""
 NOT_USED: Final = (*REJECTED, "error_frame", "remote", "lost", "unpaired", "late", "left_out")

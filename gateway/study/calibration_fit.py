@@ -97,8 +97,8 @@ def lines(found: Sequence[Fit]) -> list[str]:
     """A line for each motor, and a note if there are motors that the model does not explain."""
     hours = (found[0].t_s[-1] - found[0].t_s[0]) / 3600.0
     out = [
-        f"On {hours:.2f} h held back from the fit: model error, and share of the second half within "
-        "two sigma of the first half"
+        f"On {hours:.2f} h held back from the fit: model error, and share of the second half "
+        "within two sigma of the first half"
     ]
     for fit in found:
         parts = [

@@ -107,7 +107,7 @@ def refused(raw):
 
 OF_ANOTHER = ("motor.", "drive.", "adhesion.tolerance", "adhesion.reuse")
 """Whose numbers must go with others: a motor's, and those of one detector."""
-TOGETHER = ("is used twice", "leaves nothing", "does not fit I_rated", "a time constant of",
+TOGETHER = ("is used twice", "is too small", "does not fit I_rated", "a time constant of",
             "would speed up", "a friction of", "has no such key; leave it at 0")  # fmt: skip
 """What is said of numbers that are good alone, but not together."""
 

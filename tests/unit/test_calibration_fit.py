@@ -54,7 +54,7 @@ def test_how_far_the_filters_hold_is_printed_and_who_will_be_unknown():
     covered = np.array([(0.951, 0.9), (0.97, 0.5)])
     text = filter_lines(Coverage(np.array([1.0, 1.5]), covered, np.zeros(2)), NODES)
     assert "drive 4: filters widened 1.00 times" in text[0]
-    assert "95 % of the blocks with less and 90 %" in text[0]
+    assert "95 % of the blocks with low and 90 %" in text[0]
     assert "drive 7 will be Unknown with reason Config" in text[-1]
 
 

@@ -244,7 +244,7 @@ def test_an_identifier_in_every_form(text, dcf):
 def test_an_identifier_that_is_none_is_said(text, dcf, capsys):
     path = dcf(text=DCF.replace("$NODEID+0x180", text))
     assert device_of(path).pdos == ()
-    note = f"TPDO1 is left out: [1800sub1] DefaultValue = {text!r} is no identifier"
+    note = f"TPDO1 is left out: [1800sub1] DefaultValue = {text!r} is not an identifier"
     assert note in check(capsys, path)[1]
 
 
@@ -268,7 +268,7 @@ def test_a_heartbeat_that_is_no_time_is_said(text, note, dcf, capsys):
         ("Name=Drive 5\n", "Name=Drive 5\nProductName=6\n", "[DeviceInfo] ProductName is there"),
         ("DefaultValue=0x20000220", "DefaultValue=twelve", "[1A00sub2] DefaultValue = 'twelve'"),
         ("4=0x1801\n", "4=0x1801\n5=0x1402\n", "listed, but not in the file: 1402h"),
-        ("NodeName=\n", "what is this\n", "'what is this' is no key and no section"),
+        ("NodeName=\n", "what is this\n", "'what is this' is neither key nor section"),
     ],
 )  # fmt: skip
 def test_one_fault_costs_itself(old, new, note, dcf):

@@ -55,8 +55,8 @@ def test_what_is_right_fits(tmp_path, frames, capsys):
 
 
 @pytest.mark.parametrize(("changes", "said"), [
-    ({"psi_pm": 2 * BENCH_MOTOR.psi_pm}, "flux linkage: 0.199 Wb by voltages and speed, the "
-     "configuration says 0.3978, 0.5 times (half)"),
+    ({"psi_pm": 2 * BENCH_MOTOR.psi_pm}, "flux linkage: 0.199 Wb by voltages and speed, "
+     "0.5 times (half) the configured 0.3978"),
     ({"pole_pairs": 8}, "pole pairs: 4 by currents and speed, the configuration says 8"),
     ({"pole_pairs": 2}, "pole pairs: 4 by currents and speed, the configuration says 2"),
 ])  # fmt: skip

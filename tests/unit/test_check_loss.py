@@ -143,7 +143,7 @@ def test_a_current_that_the_dbc_cannot_hold_is_a_configuration_that_fails(capsys
     code, out, err = checked(capsys, path)
     assert code == 2
     assert "A loss of 50 % on drive 1 is not found within 1 s." in out
-    assert "no loss would be found: drive 1: the drive is Unknown before the loss" in err
+    assert "losses that would not be found: drive 1: the drive is Unknown before the loss" in err
     assert f"reason {Reason.RANGE.name.title()}" in err
     assert "give those signals a larger factor" in " ".join(err.split())
 
@@ -204,9 +204,9 @@ def test_a_drive_that_can_never_be_judged_is_not_tried(tmp_path, without, said):
 def test_check_says_that_nothing_was_tried_and_why(capsys):
     code, out, err = checked(capsys, ROOT / "examples" / "inverters" / "bamocar_d3.toml")
     assert code == 2
-    assert "no loss would be found: drive 1: no phase currents" in err
+    assert "losses that would not be found: drive 1: no phase currents" in err
     assert "always Unknown: no phase currents" in out
-    assert "not tried: no drive can ever be judged" in out
+    assert "not simulated: every drive is always Unknown" in out
     assert not FOUND.search(out)
 
 

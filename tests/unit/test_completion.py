@@ -115,5 +115,5 @@ def test_the_message_set_as_a_file(capsys, tmp_path, words, name):
     path = tmp_path / "mine.dbc"
     assert "written" in said(capsys, "dbc", *words, "-o", str(path)).out
     assert path.read_bytes() == shipped_dbc(name).read_bytes()
-    assert "is there already" in said(capsys, "dbc", "-o", str(path), code=2).err
+    assert "already exists" in said(capsys, "dbc", "-o", str(path), code=2).err
     assert path.read_bytes() == shipped_dbc(name).read_bytes()

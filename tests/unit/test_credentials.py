@@ -53,7 +53,7 @@ def test_a_key_that_others_reach_is_refused_with_the_cure(tmp_path, mode):
 )
 def test_what_is_no_key_is_refused_and_not_repeated(tmp_path, content):
     key_file(tmp_path, content)
-    with pytest.raises(ConfigError, match="is no key") as caught:
+    with pytest.raises(ConfigError, match="is not a key") as caught:
         flag_key("auth.key", tmp_path)
     assert SECRET[:8] not in str(caught.value)
 

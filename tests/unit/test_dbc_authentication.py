@@ -306,7 +306,7 @@ def test_failures_are_told_once_a_second():
         said.append(line.receiver.notice(line.now))
     lines = [text for text in said if text]
     assert len(lines) == 3
-    assert lines[1].startswith("1000 frames failed authentication")
+    assert lines[1].startswith("1000 more frames failed authentication")
 
 
 @pytest.mark.parametrize(

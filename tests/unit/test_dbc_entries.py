@@ -86,11 +86,19 @@ def test_a_comment_may_look_like_entries(tmp_path):
         ('BA_DEF_ SG_ "Bad" HEX 0x0 0xFF;\n', 0, "its limits '0x0 0xFF' are left out"),
         ('BA_DEF_ "Bad" ENUM a,b;\n', 0, "its values 'a,b' are left out"),
         ('VAL_ 257 Q 1.5 "x" 0 "y" ;\n', 0, "the label of 1.5 is left out"),
-        ('BA_ "GenMsgCycleTime" BO_ 256 "x";\n', 0, '"x" is no number, which its type INT needs'),
-        ('BA_DEF_DEF_ "GenMsgCycleTime" "x";\n', 0, '"x" is no number, which its type INT needs'),
-        (START.format("FLOAT 0 100"), 1, '"abc" is no number, which its type FLOAT needs'),
+        (
+            'BA_ "GenMsgCycleTime" BO_ 256 "x";\n',
+            0,
+            '"x" is not a number, as its type INT requires',
+        ),
+        (
+            'BA_DEF_DEF_ "GenMsgCycleTime" "x";\n',
+            0,
+            '"x" is not a number, as its type INT requires',
+        ),
+        (START.format("FLOAT 0 100"), 1, '"abc" is not a number, as its type FLOAT requires'),
         (START.format("STRING"), 1, "GenSigStartValue is a number; it is defined as STRING"),
-        ('BA_ "VFrameFormat" BO_ 257 77;\n', 0, "77 is none of its 16 values"),
+        ('BA_ "VFrameFormat" BO_ 257 77;\n', 0, "77 is not an index of its 16 values"),
         ('BA_DEF_ "X" INT 0 1E+999;\n', 0, "no number can be so large"),
         ("CM_ BO_ 256 unquoted;\n", 0, "cannot be read from 'unquoted;' on"),
     ],
@@ -244,7 +252,7 @@ def test_a_foreign_line_costs_itself(tmp_path, line, before):
     assert signals(codec) == ["D.A"] * bool(before) + ["E.Q"]
     (note,) = codec.left_out
     assert note.startswith(f"line {8 + before.count(chr(10))}: ")
-    assert "no entry of a DBC" in note
+    assert "not an entry of a DBC" in note
 
 
 @pytest.mark.parametrize("end", ["\x1a", "\0\0\0", "// the end", "\n\n\x1a\0"])
@@ -275,7 +283,7 @@ def test_several_entries_in_a_line(tmp_path):
 def test_a_signal_without_a_message_is_listed(tmp_path):
     codec = codec_of(tmp_path, E + 'CM_ "x";\n' + A)
     (note,) = codec.left_out
-    assert note == "line 10: SG_ A: stands behind no message"
+    assert note == "line 10: SG_ A: does not follow a message"
 
 
 def test_what_is_no_dbc(tmp_path):
@@ -319,7 +327,7 @@ GOOD = 'BO_ 1 M: 8 A\n SG_ x : 0|8@1+ (1,0) [0|200] "" A\n SG_ y : 8|8@1- (1,0) 
     ("entry", "line", "why"),
     [
         ("BO_ 2 N: 200 A\n SG_ z : 1584|16@1+ (1,0) [0|1] \"\" A\n", 7, "200 bytes; CAN FD has 64"),
-        ("BO_ 2 N 8 A\n", 7, "is no message"),
+        ("BO_ 2 N 8 A\n", 7, "is not a message"),
     ],
 )  # fmt: skip
 def test_one_entry_costs_itself(tmp_path, entry, line, why):
@@ -333,12 +341,12 @@ def test_one_entry_costs_itself(tmp_path, entry, line, why):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("0|8@1+ (1,0) [0|1 \"\" A", "is no signal"),
+        ("0|8@1+ (1,0) [0|1 \"\" A", "is not a signal"),
         ("0|80@1+ (1,0) [0|1] \"\" A", "80 bits; 1 to 64 are possible"),
         ("600|8@1+ (1,0) [0|1] \"\" A", "starts at bit 600 of 512"),
         ("60|8@1+ (1,0) [0|1] \"\" A", "does not fit in 8 bytes"),
         ("0|8@1+ (0,0) [0|1] \"\" A", "cannot be inverted"),
-        ("0|8@1+ (1e999,0) [0|1] \"\" A", "a number that no double has"),
+        ("0|8@1+ (1e999,0) [0|1] \"\" A", "a number too large for a double"),
     ],
 )  # fmt: skip
 def test_one_signal_costs_itself(tmp_path, text, why):

@@ -134,8 +134,8 @@ def test_a_storm_of_everything_is_a_few_lines_a_minute(clock, written):
     run_live(core, storm, node, ticker, stop=stop, on_tick=on_tick)
     lines = written.getvalue().splitlines()
     causes = (
-        "bus is", "somebody else sends", "another NMT master", "is not started", "does not count",
-        "transmit queue is full", "cannot be told",
+        "bus is", "another node sends", "another NMT master", "is not started", "watchdog not fed",
+        "transmit queue is full", "cannot be notified",
     )  # fmt: skip
     for cause in causes:
         of = [line for line in lines if cause in line]
@@ -188,7 +188,7 @@ def test_the_log_of_a_verb_as_json(form):
     assert "configuration " in " ".join(line["message"] for line in lines)
     # An error where the machine is so busy that a tick comes too late to be sent.
     assert "info" in {line["level"] for line in lines}
-    late = "this tick does not count"
+    late = "watchdog not fed in this tick"
     others = [line for line in lines if not line["message"].startswith(late)]
     assert {line["level"] for line in others} <= {"info", "warning"}
     assert not [line for line in done.stderr.splitlines() if line.startswith(("INFO", "WARNING"))]

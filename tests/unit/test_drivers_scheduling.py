@@ -141,7 +141,7 @@ def test_a_bad_link_is_cured_line_by_line():
     problems = [line.found for line in rest]
     assert problems[0].startswith("restart-ms is 0")
     assert "1000 frames of others" in problems[1]
-    assert problems[2] == "bitrate is 250000, the gateway was told 500000"
+    assert problems[2] == "bitrate is 250000, the gateway is configured for 500000"
     assert all(line.cure.startswith("ip link set can0") for line in rest)
     assert not any(line.found.startswith("can0:") for line in rest)
 

@@ -40,7 +40,7 @@ def test_what_is_written_is_what_ships_and_nothing_is_overwritten(examples, caps
             assert copied.read_bytes() == path.read_bytes()
     (examples / "train.toml").write_text("mine")
     assert cli.main(["examples", "-o", "examples"]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert (examples / "train.toml").read_text() == "mine"
 
 

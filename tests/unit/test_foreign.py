@@ -252,7 +252,7 @@ def test_everything_wrong_with_a_mapping_is_said_at_once(tmp_path):
     raw["signals"]["use"] |= {"Tnde": {"signal": "Tmp.None"}, "Irms": {"signal": "Nobody.I"}}
     raw["signals"]["cycle_ms"] = {"Other": 5.0}
     text = problems(parse({"drive": [raw]}, base=tmp_path))
-    assert "Tmp has no signal 'None': Tstator, Tde" in text
+    assert "Tmp has no signal 'None'; it has Tstator, Tde" in text
     assert "1.dbc has no message 'Nobody'" in text
     assert "cycle_ms.Other" in text
     silent = write_dbc(tmp_path / "1.dbc", {"Mot": (0x602, 0, [signed("Speed", 0)]),
@@ -270,9 +270,9 @@ def test_everything_wrong_with_a_mapping_is_said_at_once(tmp_path):
     ("use", "said"),
     [
         ({"Ia": "A.B"}, "Ib missing"), ({"Ic": "A.B"}, "Ia, Ib missing"),
-        ({"Ud": "A.B", "Uq": "A.C"}, "without ElectricalAngle"),
+        ({"Ud": "A.B", "Uq": "A.C"}, "Ud, Uq need ElectricalAngle"),
         ({"Ia": "A.B", "Ib": "A.C", "Id": "A.D", "Iq": "A.E"}, "in 2 forms"),
-        ({"Speed": {"signal": "A.B", "scale": 0.0}}, "leaves nothing"),
+        ({"Speed": {"signal": "A.B", "scale": 0.0}}, "is too small"),
         ({"Speed": "AB"}, "pattern"), ({"Sped": "A.B"}, "Speed"), ({}, "at least 1"),
     ],
 )  # fmt: skip
@@ -305,7 +305,7 @@ def test_the_mapped_file_is_part_of_the_hash_and_needs_a_signature_of_its_own(tm
 
 def test_scenarios_are_refused_for_a_mapped_drive(capsys):
     assert main(["hil", "release", "--config", str(EXAMPLES[0])]) == 2
-    assert "simulated drives speak our message set" in capsys.readouterr().err
+    assert "simulated drives send only this project's message set" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)

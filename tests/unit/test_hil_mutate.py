@@ -160,7 +160,7 @@ def test_tests_for_pytest_are_run_with_each_mutant(tmp_path, capsys):
     (tmp_path / "test_own.py").write_text(TESTS)
     assert cli.main(["hil", str(tmp_path), "--mutate", "2", "--mutate-seed", "2"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "test_a_silent_drive_is_unknown adhesion of drive 1 is good where nobody knows",
+        "test_a_silent_drive_is_unknown adhesion of drive 1 is good where it should be unknown",
         "test_a_lost_wheel_is_flagged flags 80 ms late",
         "2 of 2 mutants noticed (100 %)",
     ]

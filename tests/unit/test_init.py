@@ -98,7 +98,7 @@ def test_a_log_without_cycles_and_no_drives_are_refused(tmp_path, capsys):
     assert main([*words, "--log", str(tmp_path / "one.log")]) == 2
     assert main([*words, "--drives", "0"]) == 2
     said = capsys.readouterr().err
-    assert "no message comes several times" in said
+    assert "no message occurs often enough" in said
     assert "0: expected 1 to 16" in said
     assert not (tmp_path / "t.toml").exists()
 
@@ -198,7 +198,7 @@ def test_signals_that_make_no_message_are_not_called_a_wrong_log(tmp_path, capsy
     assert main(["init", "--dbc", str(tmp_path / "m.dbc"), "--log", str(tmp_path / "d.log"),
                  "-o", str(tmp_path / "t.toml")]) == 2  # fmt: skip
     out = capsys.readouterr().out
-    assert "DOES NOT FIT: its signals make none of our messages" in out
+    assert "DOES NOT FIT: its mapped signals do not complete any message" in out
 
 
 @pytest.mark.parametrize(("raw", "problem"), [

@@ -45,7 +45,7 @@ def test_the_shares_are_those_of_the_table_of_flags(capsys, log, tmp_path):
     assert "thermal 0.0 % of the time" in line
     head = (tmp_path / "report.md").read_text().splitlines()[2]
     assert head.startswith("> **Adhesion, known for 9")
-    assert "1 loss flagged. Thermal state was never known: nothing can be said of it.**" in head
+    assert "1 loss flagged. Thermal state was never known: there is no result.**" in head
 
 
 def test_where_nothing_was_known_nothing_is_good(capsys, foreign, tmp_path):
@@ -55,7 +55,7 @@ def test_where_nothing_was_known_nothing_is_good(capsys, foreign, tmp_path):
     assert "warning: adhesion was never known (Starting), so nothing was flagged; wrong" in err
     assert "traction-gateway calibrate" in err
     head = (tmp_path / "report.md").read_text().splitlines()[2]
-    assert head.startswith("> **Adhesion was never known: nothing can be said of it. Thermal")
+    assert head.startswith("> **Adhesion was never known: there is no result. Thermal")
     assert "good" not in head.lower()
 
 
@@ -127,7 +127,7 @@ def problems(expect, **changes):
 
 
 def test_others_where_events_name_all_drives():
-    assert "no others" in problems({**GOOD, "drive": "others"}, event=[LOSS])
+    assert "no others, because" in problems({**GOOD, "drive": "others"}, event=[LOSS])
     parse({"title": "a run", "duration_s": 2.0, "expect": [{**GOOD, "drive": "others"}],
            "event": [{**LOSS, "drive": 1}]})  # fmt: skip
 

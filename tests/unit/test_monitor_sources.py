@@ -144,7 +144,7 @@ def test_a_hole_of_years_is_played_and_sought_through(tmp_path):
         looks += 1
     assert looks < 200
     assert shown == sought
-    assert "no flags of the gateway any more" in [e.text for e in shown.events]
+    assert "gateway's flags no longer received" in [e.text for e in shown.events]
 
 
 def test_logs_that_cannot_be_watched_are_refused(tmp_path):

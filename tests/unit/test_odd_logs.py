@@ -112,7 +112,7 @@ def test_a_second_block_of_an_unknown_date_follows_the_first_and_a_note_says_so(
     block = "Begin Triggerblock yesterday\n0.0 1 123 Rx d 1 01\n0.1 1 123 Rx d 1 02\n"
     frames, _, notes = read(tmp_path, "a.asc", ASC + block + block)
     assert [frame.t_ns * 10 // SECOND for frame in frames] == [0, 1, 1, 2]
-    assert notes == ["times begin anew at a date that is not understood: they go on at once"]
+    assert notes == ["times restart at a date that cannot be read: they continue without a gap"]
 
 
 def test_a_faulty_line_of_a_log_of_differences_keeps_its_own(tmp_path):

@@ -75,7 +75,9 @@ def test_a_motor_that_ships_is_simulated_with_its_own_train_and_a_changed_one_is
 
 def test_drives_that_are_not_alike_are_refused(mine):
     mine.write_text(mine.read_text().replace('node = 2\nmotor = "mine"', "node = 2"))
-    with pytest.raises(ConfigError, match=r"the motors bench, mine; simulated ones share one"):
+    with pytest.raises(
+        ConfigError, match=r"the motors bench, mine; simulated drives share one motor"
+    ):
         with_motor_of(load(mine), find("release"))
 
 
@@ -92,7 +94,7 @@ def test_a_motor_in_the_scenario_itself():
 @pytest.mark.parametrize(
     ("motor", "problem"),
     [
-        (MINE, "needs U_dc, too"),
+        (MINE, "needs U_dc"),
         ({"psi_pm": 0.4}, "needs R_s, L_s, pole_pairs"),
         ({**MINE, "U_dc": 700.0, "name": "bench"}, "either name or"),
         ({"name": "bench", "B": 0.1}, "either name or"),

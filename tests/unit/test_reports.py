@@ -205,9 +205,7 @@ def test_a_log_of_one_frame_has_a_report(tmp_path):
     assert "a &lt;i&gt;b&lt;i&gt;_c_|`$x_$\\x1b.log" in page
     assert "&lt;b&gt;&amp;|`_x_" in page
     assert "1 ticks" in text or "1 tick" in text
-    assert (
-        "Adhesion was never known: nothing can be said of it. Thermal state was never known" in text
-    )
+    assert "Adhesion was never known: there is no result. Thermal state was never known" in text
 
 
 def test_hil_leaves_one_page_of_all_scenarios(tmp_path, capsys):

@@ -290,13 +290,13 @@ def test_a_start_record_is_refused_where_it_does_not_fit(tmp_path):
     newer = json.dumps({**json.loads(header), "layout": "0"}).encode() + b"\n" + packed
     newer = b"\n".join((magic, sha256(newer).hexdigest().encode(), newer))
     for wrong, used, text in (
-        (b"(1.0) can0 181#00\n", config, "is no start record"),
+        (b"(1.0) can0 181#00\n", config, "is not a start record"),
         (data[:-1] + bytes([data[-1] ^ 1]), config, "is damaged"),
         (data[:200], config, "is damaged"),
         (magic, config, "is damaged"),
         (data.replace(b'"now_ns": 7', b'"now_ns": 8'), config, "is damaged"),
         (data, other, "give the same --config"),
-        (newer, config, "a version with other records"),
+        (newer, config, "another version of traction-gateway"),
     ):
         with pytest.raises(ConfigError, match=text):
             resumed(wrong, "start.bin", used, codec)

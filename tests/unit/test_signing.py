@@ -125,7 +125,7 @@ def test_the_reason_names_the_file(signed, capsys):
 def test_without_a_signature_or_with_anothers_nothing_runs(signed, tmp_path, capsys):
     other = tmp_path / "other.pem", tmp_path / "other.pub.pem"
     make_keys(*other)
-    assert "is not of" in signed.refused(capsys, "--public-key", other[1])
+    assert "was not made with the key of" in signed.refused(capsys, "--public-key", other[1])
     assert "no public key" in signed.refused(capsys, "--public-key", tmp_path / "none.pem")
     assert "no public ed25519 key" in signed.refused(capsys, "--public-key", signed.private)
     elsewhere = tmp_path / "elsewhere.sig"
@@ -164,7 +164,7 @@ def test_files_of_two_signatures_cannot_be_mixed(signed, capsys):
     signed.main("sign", "--key", signed.private)
     second = signed.signature.read_text().splitlines(keepends=True)
     signed.signature.write_text("".join([first[0], second[1], *first[2:]]))
-    assert "is not of" in signed.refused(capsys)
+    assert "was not made with the key of" in signed.refused(capsys)
 
 
 @pytest.mark.parametrize(

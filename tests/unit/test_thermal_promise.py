@@ -215,7 +215,7 @@ def test_check_replay_and_run_print_what_is_promised(config, capsys, pytestconfi
 
 def test_a_rate_without_hours_or_of_another_method_is_refused(config, capsys):
     assert main(["check", str(config(1)), "--no-timing"]) == 2
-    assert "with one log more" in capsys.readouterr().err.replace("\n", " ")
+    assert "with one more log" in capsys.readouterr().err.replace("\n", " ")
     with pytest.raises(ConfigError, match="method 'maisd' has no such limit"):
         parse({"thermal": {"method": "maisd", "false_alarms_per_1000_h": 1.0}})
     stated = {"thermal": {"false_alarms_per_1000_h": 1.0}}

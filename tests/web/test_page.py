@@ -395,7 +395,7 @@ def test_a_token_comes_in_once_and_leaves_no_trace(opened, log, tmp_path):
         # A page that is left or loaded anew asks no longer for what it had not got yet.
         left = "401|WebSocket|ERR_CONNECTION|ERR_ABORTED"
         page = opened(where, may_complain=left, ready="")
-        expect(page.locator("body")).to_contain_text("a token is wanted")
+        expect(page.locator("body")).to_contain_text("a token is required")
         page.goto(f"{where}?token=wrong")
         expect(page.locator("body")).to_contain_text("wrong token")
         page.goto(f"{where}?token={token}")

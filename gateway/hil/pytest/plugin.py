@@ -42,7 +42,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
                     help="external: the gateway under test runs elsewhere on the bus")  # fmt: skip
     group.addoption("--hil-expect-known", action="append", default=[], metavar="[FLAG=]PERCENT",
                     help="fail a test in which a drive's adhesion flag (or FLAG=thermal) was "
-                         "known for less of the time; for one test: `hil(expect_known=PERCENT)`")  # fmt: skip
+                         "known for less of the time; for one test: "
+                         "`hil(expect_known=PERCENT)`")  # fmt: skip
     group.addoption(
         "--hil-mutant",
         metavar="NUMBER[:SEED]",
