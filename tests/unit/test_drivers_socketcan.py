@@ -538,7 +538,7 @@ def test_nothing_is_queued_behind_what_still_waits(kernel):
         bus.receive(0.0)
         assert bus.send(DATA) is SendResult.FULL
     assert bus.status.tx_full == 12
-    assert "nothing is added" in bus.status.note
+    assert "no new ones are added" in bus.status.note
     kernel.waiting = 0  # gone between the read and the send
     assert bus.send(DATA) is SendResult.SENT
     bus.receive(0.0)

@@ -487,7 +487,7 @@ def command(*words, cwd=None, env=None):
         (["--web", "no-such-host.invalid"], "not known"),
         (["--web", "a.log"], "monitor a.log --web"),
         (["--web", "--token-file", "open"], "chmod 600"),
-        (["--web", "--token-file", "short"], "16 are the least"),
+        (["--web", "--token-file", "short"], "at least 16 are needed"),
         (["--web", "--token-file", "none"], "cannot be read"),
         (["--token-file", "good"], "without --web"),
     ],

@@ -162,7 +162,7 @@ def test_what_was_replayed_is_named(bad_bus):
     assert f"`{word}`" in text
     assert str(program()).split(" with")[0] in text
     assert "virtual clock" in text
-    assert "truth is not known" in text
+    assert "Without ground truth" in text
     assert str(log.parent) not in text, "where it lay says nothing"
 
 

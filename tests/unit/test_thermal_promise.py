@@ -193,7 +193,7 @@ def test_hours_are_stored_and_a_stated_rate_moves_the_limit(config):
 def test_without_a_model_nothing_is_promised_and_the_reason_is_named():
     with pytest.raises(ConfigError, match="has no thermal model"):
         cells().model_copy(update={"heat": None}).promising(300.0)
-    with pytest.raises(ConfigError, match="no fault-free hours"):
+    with pytest.raises(ConfigError, match="no held-back fault-free hours"):
         cells().promising(300.0)
 
 
