@@ -455,7 +455,7 @@ def test_loopback_is_told_from_what_others_can_reach():
         assert is_loopback(Listen(host, 1)), host
     for host in ("0.0.0.0", "::", "10.1.2.3", "192.0.2.1", "::ffff:10.0.0.1"):
         assert not is_loopback(Listen(host, 1)), host
-    with pytest.raises(ConfigError, match="not known"):
+    with pytest.raises(ConfigError, match="cannot be resolved"):
         is_loopback(Listen("no-such-host.invalid", 1))
 
 
@@ -484,7 +484,7 @@ def command(*words, cwd=None, env=None):
         (["--metrics", "192.0.2.7:0"], "keygen --token"),
         (["--web", "127.0.0.1:0", "--metrics", "0.0.0.0:0"], "0.0.0.0:0"),
         (["--web", "127.0.0.1:x"], "HOST:PORT"),
-        (["--web", "no-such-host.invalid"], "not known"),
+        (["--web", "no-such-host.invalid"], "cannot be resolved"),
         (["--web", "a.log"], "monitor a.log --web"),
         (["--web", "--token-file", "open"], "chmod 600"),
         (["--web", "--token-file", "short"], "at least 16 are needed"),

@@ -59,7 +59,7 @@ function connect() {
 async function reason() {
   try {
     const answer = await fetch("/static/icon.svg", { cache: "no-store" });
-    return answer.status === 401 ? "a token is wanted: open this page with /?token=… once" : "";
+    return answer.status === 401 ? "a token is required: open this page with /?token=… once" : "";
   } catch {
     return "";
   }
