@@ -35,8 +35,9 @@
 #define RETURN_PER_S 1.0
 #define RETURN_MOST  0.3
 /* A lost wheel has gripped again once it carries what is asked. A load that is still missing after
- * that may be held back by the drive's own slip control: for HELD_BACK_S at most, and for
- * LOAD_BACK_S once the load is back. This ends if the wheel slides again. */
+ * that may be held back by the drive's own slip control, and one that is too large may be the inertia
+ * of the wheel: for HELD_BACK_S at most, and for LOAD_BACK_S once the load is that of the others.
+ * Until then it is no measure for them. This ends if the wheel slides again. */
 #define HELD_BACK_S 2.0
 #define LOAD_BACK_S 0.1
 #define UNSEEN_S    0.1  /* least time in which a wheel runs away and grips again */
@@ -69,7 +70,7 @@ void compare_by_memory(struct adhesion *a)
         in->error = command_error(a, k, in->load);
         in->sigma = a->loads[k].sigma;
         in->source = a->loads[k].by_observer;
-        in->apart = a->rotors[k].away;
+        in->apart = a->rotors[k].away || a->loads[k].regripped_s > 0.0;
         in->unsure = a->rotors[k].away || a->rotors[k].uncertain;
         count += a->known[k] != 0;
     }

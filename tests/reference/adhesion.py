@@ -198,8 +198,8 @@ class Adhesion:
     def _judge(self, model: Switching, flag: Ints, now: int) -> None:
         """As `switching_loss.c`."""
         load = self.load / self.ratio
-        known = self.known & np.isfinite(load)
-        model.loads["known"], model.loads["apart"] = known, self.rotors["away"]
+        model.loads["known"] = known = self.known & np.isfinite(load)
+        model.loads["apart"] = (self.rotors["away"] != 0) | (np.array(self.held_s) > 0.0)
         model.loads["unsure"] = self.rotors["away"] | self.rotors["uncertain"]
         model.loads["load"] = np.clip(np.where(known, load, 0.0), -2.0, 2.0)
         model.loads["gain"] = 1.0 / self.ratio - 1.0

@@ -27,3 +27,12 @@ def test_wheels_with_the_inertia_of_a_locomotive(world, family, seed, f1, adheri
     assert run.flags.f1 >= f1
     assert run.flags.good_share >= adhering
     assert (run.flags.missed, run.flags.dangerous) == (0, 0)
+
+
+@pytest.mark.parametrize("seed", [301, 305, 329, 334, 335])
+def test_of_two_drives_the_one_that_held_is_not_accused_while_the_other_grips_again(seed):
+    """Three times the load for a tenth of a second, while a large inertia gives back its speed."""
+    plan = Plan(("roller_two",), ("switching",), (seed,), motor="traction_350kw", world="roller")
+    (run,) = one_run(plan, "roller_two", seed)
+    assert run.flags.losses == 1
+    assert (run.flags.missed, run.flags.alarms, run.flags.dangerous) == (0, 0, 0)
