@@ -34,10 +34,9 @@
  * of the largest command per second, but by no more than this share of its own. */
 #define RETURN_PER_S 1.0
 #define RETURN_MOST  0.3
-/* A lost wheel has gripped again once it carries what is asked. A load that is still missing after
- * that may be held back by the drive's own slip control, and one that is too large may be the inertia
- * of the wheel: for HELD_BACK_S at most, and for LOAD_BACK_S once the load is that of the others.
- * Until then it is no measure for them. This ends if the wheel slides again. */
+/* A lost wheel has gripped again once it carries what is asked. Then its own slip control may hold
+ * back its load, or its inertia add to it: for HELD_BACK_S at most, and for LOAD_BACK_S once the
+ * load is that of the others, or until it slides again. Meanwhile it is no measure for them. */
 #define HELD_BACK_S 2.0
 #define LOAD_BACK_S 0.1
 #define UNSEEN_S    0.1  /* least time in which a wheel runs away and grips again */
@@ -57,9 +56,19 @@ static double command_error(const struct adhesion *a, int k, double load)
     return fabs(load) * clamp(moved / mine->asked_ratio, 0.0, RETURN_MOST);
 }
 
+/* 1 if some drive has neither run away nor gripped again just now: it is a measure for others. */
+static int any_measure(const struct adhesion *a)
+{
+    for (int k = 0; k < a->n; k++)
+        if (a->known[k] && !a->rotors[k].away && !(a->loads[k].regripped_s > 0.0))
+            return 1;
+    return 0;
+}
+
 void compare_by_memory(struct adhesion *a)
 {
     struct switching *s = a->switching;
+    const int measured = any_measure(a);
     int count = 0;
     for (int k = 0; k < a->n; k++) {
         struct switching_load *in = &s->loads[k];
@@ -70,7 +79,7 @@ void compare_by_memory(struct adhesion *a)
         in->error = command_error(a, k, in->load);
         in->sigma = a->loads[k].sigma;
         in->source = a->loads[k].by_observer;
-        in->apart = a->rotors[k].away || a->loads[k].regripped_s > 0.0;
+        in->apart = a->rotors[k].away || (measured && a->loads[k].regripped_s > 0.0);
         in->unsure = a->rotors[k].away || a->rotors[k].uncertain;
         count += a->known[k] != 0;
     }

@@ -199,7 +199,7 @@ class Adhesion:
         """As `switching_loss.c`."""
         load = self.load / self.ratio
         model.loads["known"] = known = self.known & np.isfinite(load)
-        model.loads["apart"] = (self.rotors["away"] != 0) | (np.array(self.held_s) > 0.0)
+        model.loads["apart"] = regrip.apart(self.known, self.rotors["away"] != 0, self.held_s)
         model.loads["unsure"] = self.rotors["away"] | self.rotors["uncertain"]
         model.loads["load"] = np.clip(np.where(known, load, 0.0), -2.0, 2.0)
         model.loads["gain"] = 1.0 / self.ratio - 1.0

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+import numpy as np
+
 NEAR: Final = 0.03
 LITTLE: Final = 0.1
 STEADY: Final = 0.02
@@ -58,3 +60,10 @@ def held_back_s(
     if rotor["away"] or not math.copysign(1.0, demand or 1.0) * rotor["creep"] <= SLIDES:
         return 0.0
     return max(0.0, before - (FASTER if holds >= BACK else 1) * tick_s)
+
+
+def apart(known: Any, away: Any, held_s: list[float]) -> Any:
+    """(N,) whose load is no measure for the others: wheels that have run away or, while there is
+    any other drive, gripped again just now."""
+    gripped = np.array(held_s) > 0.0
+    return away | (gripped & bool(np.any(known & ~away & ~gripped)))

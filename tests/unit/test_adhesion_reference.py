@@ -383,6 +383,49 @@ def test_a_monitor_that_is_reset_knows_nothing():
     assert not any(array.view(np.uint8).any() for array in known_nothing)
 
 
+def by_memory(**given):
+    """Two drives judged by `switching`: the first has what is given and no command, the second
+    adheres. fields of a record: name__field."""
+    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 2, RULES, TICK)
+    core.switching.adhering[:], core.switching.lost[:] = (0.05, 1.0), (0.95, 0.0)
+    core.known[:] = core.loss_known[:] = core.record["comparable"] = 1
+    core.rotors["creep"], core.rotors["learnt_s"] = 0.0, 1.0
+    core.record["common"] = core.record["common_smoothed"] = 0.5
+    for name, value in given.items():
+        record, _, field = name.partition("__")
+        getattr(core, record)[field][0] = value
+    status = np.zeros(2, DRIVE_STATUS)
+    lib.judge_by_memory(
+        pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0, 0
+    )
+    return core
+
+
+@pytest.mark.parametrize("creep", [0.03, -0.03, 0.0301])
+def test_on_the_limit_a_wheel_that_is_asked_for_nothing_turns_with_the_others(creep):
+    turning = {"rotors__speed": 50.0, "rotors__slow_speed": 50.0, "rotors__creep": creep}
+    core = by_memory(responses__usable=1, **turning)
+    assert core.loss_probability[0] == (0.0 if abs(creep) <= 0.03 else 0.95)
+
+
+@pytest.mark.parametrize("common", [0.2, -0.2, 0.1999])
+def test_on_the_limit_of_a_small_load_a_comparison_accuses(common):
+    assert by_memory(record__common_smoothed=common).loss_known[0] == (abs(common) >= 0.2)
+
+
+def test_on_their_limits_gap_and_slip_belong_to_the_time_in_which_a_drive_is_held_back():
+    left = [
+        by_memory(loads__unknown_s=0.1).loads["regripped_s"][0],
+        by_memory(loads__unknown_s=0.099).loads["regripped_s"][0],
+        by_memory(loads__regripped_s=1.0, rotors__creep=0.05).loads["regripped_s"][0],
+        by_memory(loads__regripped_s=1.0, rotors__creep=0.051).loads["regripped_s"][0],
+        by_memory(loads__regripped_s=1.0, rotors__creep=-0.06, record__common=0.0).loads[
+            "regripped_s"
+        ][0],
+    ]
+    assert left == [2.0, 0.0, pytest.approx(0.99), 0.0, pytest.approx(0.99)]
+
+
 @pytest.mark.parametrize("detector", ["vb", "switching"])
 def test_what_lies_behind_the_drives_is_left_alone(detector):
     """Room for three, of which two are in use: the third one adheres, and nobody asks it."""
