@@ -1,11 +1,10 @@
 """A stated rate of false alarms, and the limit of the monitor that keeps it.
 
 The limit comes from the largest log odds of a fault in every hour of a fault-free record that was
-not used for learning. If hours are exchangeable, the share of later hours that exceed the k-th
-largest of n is Beta(k, n + 1 - k) distributed, whatever the model (Wilks 1941, tolerance limits).
-With fewer hours than that needs, the limit is extrapolated, and nothing is promised: above even
-odds, odds that are e times as large are assumed to be e times as rare, which holds for the
-posterior odds of a correct model (Ville's inequality).
+not used for learning: a tolerance limit (`estimators.tolerance`), whatever the model. With fewer
+hours than that needs, the limit is extrapolated, and nothing is promised: above even odds, odds
+that are e times as large are assumed to be e times as rare, which holds for the posterior odds of
+a correct model (Ville's inequality).
 """
 
 from __future__ import annotations
@@ -18,14 +17,11 @@ from numpy.typing import NDArray
 
 from estimators.thermal.monitor import RAISE, ThermalMonitor, followed
 from estimators.thermal.record import Record, spacing
+from estimators.tolerance import BROKEN, STORED, needed, order_of
 
 Array = NDArray[np.float64]
 
 HOUR_S: Final = 3600.0
-BROKEN: Final = 0.05
-"""Share of calibrations whose promise may be broken: one in twenty."""
-STORED: Final = 20
-"""Number of the largest hours that are kept."""
 CERTAIN: Final = 30.0
 """Log odds that no limit exceeds: a sensor that has stepped is always reported."""
 
@@ -105,26 +101,11 @@ def hours_of(peaks: Array) -> Hours:
 def promise_of(hours: Hours, rate: float) -> Promise:
     """Promise for `rate` false alarms in 1000 h; hours: at least one."""
     share = -math.expm1(-rate / 1000.0)
-    n, k = hours.number, _order(hours, share)
+    n, k = hours.number, order_of(hours.number, len(hours.largest), share)
     seen = -math.expm1(math.log(BROKEN) / n)
     odds = hours.largest[k - 1] if k else max(hours.largest[0], 0.0) + math.log(seen / share)
     probability = 1.0 / (1.0 + math.exp(-min(odds, CERTAIN)))
     return Promise(
         rate, max(probability, RAISE), k > 0 and odds < CERTAIN, n,
-        math.ceil(math.log(BROKEN) / math.log1p(-share)), -1000.0 * math.log(BROKEN) / n,
+        needed(share), -1000.0 * math.log(BROKEN) / n,
     )  # fmt: skip
-
-
-def _order(hours: Hours, share: float) -> int:
-    """Largest k for which the k-th largest of the stored hours is a tolerance limit; 0: none.
-
-    In at most one calibration of twenty, more than this share of all hours exceeds such a limit.
-    """
-    n = hours.number
-    term = math.exp(n * math.log1p(-share))
-    below, k = term, 0
-    while below <= BROKEN and k < min(n, len(hours.largest)):
-        term *= (n - k) / (k + 1) * share / (1.0 - share)
-        k += 1
-        below += term
-    return k

@@ -1,4 +1,4 @@
-"""`calibrate LOG..`: thermal limits from fault-free logs."""
+"""`calibrate LOG..`: thermal limits from fault-free logs, or times of the adhesion flag."""
 
 from __future__ import annotations
 
@@ -26,8 +26,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("log", type=Path, nargs="+", help="fault-free logs")
     add_config(parser)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml",
-                        help="the calibration to write")  # fmt: skip
+    to = parser.add_mutually_exclusive_group(required=True)
+    to.add_argument("-o", "--output", type=Path, metavar="FILE.toml",
+                    help="the calibration to write")  # fmt: skip
+    to.add_argument("--adhesion", action="store_true",
+                    help="print [adhesion] fault_free, for false_alarms_per_1000_h, instead of a "
+                    "thermal calibration")  # fmt: skip
     parser.add_argument("--without-model", action="store_true",
                         help="learn only the differences between motors, for [thermal] method = "
                         "'maisd'; else logs that give no thermal model are refused")  # fmt: skip
@@ -41,6 +45,10 @@ def run(options: argparse.Namespace) -> int:
 
     Raises ConfigError, and writes nothing, if the logs do not contain what the method needs.
     """
+    if options.adhesion:
+        from gateway.commands import calibrate_adhesion
+
+        return calibrate_adhesion.run(options)
     from gateway.core.thermal import NO_MODEL
     from gateway.io.extras import pictures
     from gateway.io.replay import BadLogError, OneChannel, open_log

@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
         else "not calibrated: flags stay unknown; run `traction-gateway calibrate`"
     )
     print(f"thermal        {calibrated}")
-    for line in calibration.promise_lines(cells):
+    for line in calibration.promise_lines(cells, config.adhesion):
         print(f"promise        {line}")
     signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
     print(f"signature      {signed}")

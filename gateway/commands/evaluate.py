@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gateway.commands import evaluate_thermal
 from gateway.commands.common import GOOD, add_config
 from gateway.commands.progress import Progress
 from gateway.io.console import console
 from gateway.io.extras import pictures
+
+if TYPE_CHECKING:
+    from gateway.study.evaluation_runs import Plan
 
 WORLDS = ("ours", "ours_held", "held", "motulator", "roller", "other")
 """The worlds of `gateway.study.worlds`, and `other` of the thermal benchmark."""
@@ -41,6 +45,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-j", "--jobs", type=_jobs, default=1, metavar="N", help="number of processes"
     )
+    parser.add_argument("--false-alarms", type=float, metavar="N",
+                        help="check a stated rate of N false alarms in 1000 h instead: the limit "
+                        "comes from one part of fault-free runs, and false alarms are counted in "
+                        "another. Adhesion: one detector, families without a loss. Thermal: needs "
+                        "--base bench")  # fmt: skip
     evaluate_thermal.arguments(parser)
     add_config(parser)
 
@@ -69,6 +78,8 @@ def run(options: argparse.Namespace) -> int:
     plan = Plan(
         _families(options), (), seeds, options.dbc, options.motor, options.config, options.world
     )
+    if options.false_alarms is not None:
+        return _promise(options, plan)
     asked = options.detector or _all_detectors()
     detectors, refused = known_detectors(dict.fromkeys(asked), plan)
     if not detectors:
@@ -89,6 +100,26 @@ def run(options: argparse.Namespace) -> int:
         with Progress("pictures"):
             for path in write(options.output, title, lines):
                 say.print(f"written: {path}", markup=False)
+    return GOOD
+
+
+def _promise(options: argparse.Namespace, plan: Plan) -> int:
+    """Check the stated rate of false adhesion flags on `SPLITS` halves of the runs."""
+    from gateway.settings.config import ConfigError
+    from gateway.study.adhesion_promise import measured, report, splits
+    from gateway.study.evaluation_runs import known_detectors
+
+    if not 0.001 <= options.false_alarms <= 60_000.0:
+        raise ConfigError("--false-alarms", ["expected 0.001 to 60000 in 1000 h"])
+    detectors, refused = known_detectors(options.detector or ["switching"], plan)
+    if refused or len(detectors) != 1:
+        raise ConfigError("--detector", refused or ["--false-alarms checks one detector"])
+    plan = plan._replace(detectors=tuple(detectors))
+    with Progress("runs", len(plan.families) * len(plan.seeds)) as progress:
+        longest = measured(plan, progress.advance)
+    if len(longest) < 2:
+        raise ConfigError("--seeds", [f"{len(longest)} minutes in all these runs: give more"])
+    print(report(splits(longest, options.false_alarms)))
     return GOOD
 
 

@@ -33,9 +33,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                        help="kinds of faults, `none` for fault-free (default: all except "
                        "`sensor_creep`)")  # fmt: skip
     group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
-    group.add_argument("--false-alarms", type=float, metavar="N", help="check a stated rate of N "
-                       "in 1000 h instead: each train gets its limit from some fault-free hours, "
-                       "and false alarms are counted in others; needs --base bench")  # fmt: skip
     group.add_argument("--limit-hours", type=float, default=4.0, metavar="H",
                        help="for --false-alarms: hours for the limit (default: 4)")  # fmt: skip
     group.add_argument("--judged-hours", type=float, default=50.0, metavar="H",

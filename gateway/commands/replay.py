@@ -241,7 +241,7 @@ def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> No
 
     report_log(reader)
     print(f"configuration: {done.gateway.outbox.config_hash:06x}")
-    for line in promise_lines(done.gateway.calibration):
+    for line in promise_lines(done.gateway.calibration, done.gateway.config.adhesion):
         print(f"promise: {line}")
     for back in done.clock.backs[:SHOWN]:
         console().print(

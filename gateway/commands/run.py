@@ -208,7 +208,7 @@ def summary(gateway: Any, seen: Any) -> None:
     """Print the counters at the end, and the promised rate of false alarms."""
     from gateway.settings.calibration import promise_lines
 
-    for line in promise_lines(gateway.calibration):
+    for line in promise_lines(gateway.calibration, gateway.config.adhesion):
         print(f"promise: {line}")
     counts = gateway.inbox.counts
     print("frames: " + (", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v) or "none"))

@@ -350,7 +350,8 @@ def _limit_ns(drive: DriveInput, kind: str) -> Nanos:
 def _rules(config: Config, slowest_ns: Nanos) -> Records:
     """Rules from evidence to flags; slowest_ns: cycle of the slowest message."""
     a, t = config.adhesion, config.thermal
-    adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
+    raise_ms, severe_ms = a.raised_after_ms
+    adhesion = Timing(a.good_ms * MS, raise_ms * MS, a.clear_ms * MS)
     timing = [
         adhesion,
         Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
@@ -359,7 +360,7 @@ def _rules(config: Config, slowest_ns: Nanos) -> Records:
         ESTIMATOR,
         SENSOR,
     ]
-    severe = adhesion._replace(raise_ns=a.raise_severe_ms * MS)
+    severe = adhesion._replace(raise_ns=severe_ms * MS)
     return rules(timing, severe, a.raise_probability, a.clear_probability, config.loop.period_ns)
 
 

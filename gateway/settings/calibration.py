@@ -19,9 +19,10 @@ from dbc.text import read_bytes, read_toml, toml_text
 from dbc.toml_lines import numbered
 from estimators.thermal import model
 from estimators.thermal.monitor import OWN_K, RAISE, Coverage, Known
-from estimators.thermal.promise import STORED, Hours, Promise, promise_of
+from estimators.thermal.promise import Hours, Promise, promise_of
+from estimators.tolerance import STORED
 from gateway.settings.config import Config, ConfigError, check_seal
-from gateway.settings.sections import Strict
+from gateway.settings.sections import Adhesion, Strict
 
 POINTS = ("stator", "drive_end", "non_drive_end")
 COVERAGE = Coverage._fields
@@ -200,9 +201,13 @@ def of(config: Config) -> Calibration | None:
     return out if rate is None else out.promising(rate)
 
 
-def promise_lines(cells: Calibration | None) -> list[str]:
-    """Lines that state the promised rate of false alarms; empty where no rate is stated."""
-    return [] if cells is None or cells.promise is None else [f"thermal: {cells.promise}"]
+def promise_lines(cells: Calibration | None, adhesion: Adhesion | None = None) -> list[str]:
+    """Lines that state the promised rates of false alarms; empty where no rate is stated."""
+    stated = {
+        "adhesion": adhesion.promise if adhesion else None,
+        "thermal": cells.promise if cells else None,
+    }
+    return [f"{name}: {promise}" for name, promise in stated.items() if promise is not None]
 
 
 def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:

@@ -97,6 +97,12 @@ class Config(Strict):
                     "leave it at 0, "
                     "or use detector = 'paper_vb'"
                 )
+        stated = [self.adhesion.false_alarms_per_1000_h, self.adhesion.fault_free]
+        if (stated[0] is None) != (stated[1] is None):
+            problems.append(
+                "adhesion.false_alarms_per_1000_h: needs fault_free, and fault_free needs it; "
+                "`traction-gateway calibrate --adhesion LOG..` prints fault_free"
+            )
         if self.thermal.false_alarms_per_1000_h is not None and self.thermal.method != "model":
             problems.append(
                 "thermal.false_alarms_per_1000_h: method 'maisd' has no such limit; leave it out, "

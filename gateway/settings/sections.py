@@ -18,6 +18,8 @@ from pydantic import (
 )
 
 from dbc.bounds import within
+from estimators.adhesion_promise import Promise, promise_of
+from estimators.tolerance import STORED
 from gateway.settings.signal_map import Signals
 
 
@@ -153,10 +155,29 @@ WITHOUT_MEMORY_MS: Final = {"raise_ms": 20, "raise_severe_ms": 10, "clear_ms": 3
 """Default times of detectors that evaluate each tick by itself."""
 
 
+class FaultFree(Strict):
+    """`[adhesion] fault_free`: what `traction-gateway calibrate --adhesion` has measured."""
+
+    minutes: int = Field(ge=1, description="of fault-free logs")
+    longest_ms: Annotated[
+        tuple[Annotated[int, Field(ge=0, le=60_000)], ...],
+        Field(min_length=1, max_length=STORED, description="of evidence, in the worst minutes"),
+    ]
+    """Longest time for which evidence of a loss has lasted, in the worst minutes, descending."""
+
+    @field_validator("longest_ms")
+    @classmethod
+    def _descending(cls, times: tuple[int, ...]) -> tuple[int, ...]:
+        if list(times) != sorted(times, reverse=True):
+            msg = "times must descend: use the line that `traction-gateway calibrate` prints"
+            raise ValueError(msg)
+        return times
+
+
 class Adhesion(Extended):
     """`[adhesion]`: detector and the timing of its flag."""
 
-    ADDED = ("tolerance", "reuse", "send_creep")
+    ADDED = ("tolerance", "reuse", "send_creep", "false_alarms_per_1000_h", "fault_free")
 
     detector: Literal[
         "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
@@ -192,6 +213,26 @@ class Adhesion(Extended):
     """Good evidence needed before the first `Adhering`."""
     send_creep: bool = False
     """Whether `Drive{n}_Adhesion` is sent: creep and utilisation of each drive, every 20 ms."""
+    false_alarms_per_1000_h: (
+        Annotated[float, within(0.001, 60_000, "", "per 1000 h of operation; needs fault_free")]
+        | None
+    ) = Field(None, description="None: none stated")
+    """The time after which a loss is flagged follows: `estimators.adhesion_promise`."""
+    fault_free: FaultFree | None = Field(None, description="measured for this rate")
+
+    @property
+    def promise(self) -> Promise | None:
+        """Promise of the stated rate of false alarms; None where no rate is stated."""
+        if self.false_alarms_per_1000_h is None or self.fault_free is None:
+            return None
+        measured = self.fault_free
+        return promise_of(measured.minutes, measured.longest_ms, self.false_alarms_per_1000_h)
+
+    @property
+    def raised_after_ms(self) -> tuple[int, int]:
+        """Time after which a loss is flagged, and a certain one; no earlier than promised."""
+        least = 0 if self.promise is None else self.promise.raise_ms
+        return max(self.raise_ms, least), max(self.raise_severe_ms, least)
 
     @model_validator(mode="before")
     @classmethod
