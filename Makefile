@@ -23,7 +23,7 @@ test: $(VENV)/.ready
 # Before a release: all tests, those that are marked thorough too (more seeds, more sizes, more faults of
 # the same kinds); the golden logs on other processors (qemu-user), 500 logs and 200 configurations with
 # accidents, and the whole test suite on a core with the sanitizers in it, but the mutants, which build
-# cores of their own. The commit that passes is kept.
+# cores of their own, and two that cannot run so (tests/core_variants.py). The commit that passes is kept.
 PASSED := tests/test-all.passed
 test-all: $(VENV)/.ready
 	git diff --quiet HEAD || { echo "commit first: what passes is written down by commit"; exit 1; }
