@@ -25,15 +25,15 @@ def run(options: argparse.Namespace) -> int:
     config, evidence = at_once(given), Evidence()
 
     def gateway(start: int) -> Gateway:
-        evidence.begin(start)
+        evidence.begin_log(start)
         return Gateway(config, codec, start)
 
     for log in options.log:
         tracked = track_file(open_log(log, strict=False), log, log.name)
         frames = OneChannel(tracked, options.log_channel)
-        sink = Briefly(lambda _frames: None, evidence.changed)
+        sink = Briefly(lambda _frames: None, evidence.follow_flags)
         done = replay(frames, gateway, config.loop.period_ns, sink)
-        evidence.end(done.gateway.now_ns)
+        evidence.end_log(done.gateway.now_ns)
     longest = evidence.longest_ms
     if not len(longest):
         raise ConfigError("calibrate --adhesion", ["the logs have less than a minute together"])

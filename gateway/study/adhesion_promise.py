@@ -45,12 +45,12 @@ def measured(plan: Plan, after_run: Callable[[], None] = lambda: None) -> NDArra
             given, codec = fitted(plan, plan.detectors[0], recording.scenario, recording.variation)
             config = at_once(given)
             gateway = Gateway(config, codec, 0)
-            evidence.begin(0)
+            evidence.begin_log(0)
             for tick, block in enumerate(recording.blocks):
                 gateway.step(block, tick * config.loop.period_ns)
                 if gateway.changed:
-                    evidence.changed(gateway)
-            evidence.end(gateway.now_ns)
+                    evidence.follow_flags(gateway)
+            evidence.end_log(gateway.now_ns)
             after_run()
     return evidence.longest_ms
 

@@ -39,11 +39,11 @@ class Evidence:
         self._before: Nanos = 0
         self._start: Nanos = 0
 
-    def begin(self, start_ns: Nanos) -> None:
+    def begin_log(self, start_ns: Nanos) -> None:
         """Start a log at this time of its gateway's clock."""
         self._start = start_ns
 
-    def changed(self, gateway: Gateway) -> None:
+    def follow_flags(self, gateway: Gateway) -> None:
         """Take the flags of a tick in which one of them has changed."""
         now = gateway.now_ns
         for k, state in enumerate(gateway.status.drives["flag"]["state"][:, 0].tolist()):
@@ -52,7 +52,7 @@ class Evidence:
             elif k in self._begun:
                 self._end(k, now)
 
-    def end(self, now_ns: Nanos) -> None:
+    def end_log(self, now_ns: Nanos) -> None:
         """End a log at this time: evidence that lasts ends here."""
         for k in list(self._begun):
             self._end(k, now_ns)

@@ -56,23 +56,23 @@ def test_evidence_that_lasts_longer_than_a_flag_may_wait_promises_nothing():
 def told(evidence, now_ms, *states):
     state = np.array(states).reshape(-1, 1)
     status = SimpleNamespace(drives={"flag": {"state": state}})
-    evidence.changed(SimpleNamespace(now_ns=now_ms * MS, status=status))
+    evidence.follow_flags(SimpleNamespace(now_ns=now_ms * MS, status=status))
 
 
 def test_the_longest_evidence_of_each_minute_over_logs_joined_end_to_end():
     evidence = Evidence()
-    evidence.begin(5 * SECOND)
+    evidence.begin_log(5 * SECOND)
     told(evidence, 6_000, Flag.BAD, Flag.GOOD)
     told(evidence, 6_040, Flag.GOOD, Flag.BAD)
     told(evidence, 6_050, Flag.GOOD, Flag.BAD)
     told(evidence, 6_110, Flag.GOOD, Flag.UNKNOWN)
-    evidence.end(65 * SECOND)
-    evidence.begin(0)
+    evidence.end_log(65 * SECOND)
+    evidence.begin_log(0)
     told(evidence, 59_500, Flag.BAD, Flag.BAD)
-    evidence.end(59_900 * MS)
+    evidence.end_log(59_900 * MS)
     assert evidence.longest_ms.tolist() == [70], "the second minute is not whole"
-    evidence.begin(0)
-    evidence.end(61 * SECOND)
+    evidence.begin_log(0)
+    evidence.end_log(61 * SECOND)
     assert evidence.longest_ms.tolist() == [70, 400, 0]
     assert largest(evidence.longest_ms) == [400, 70, 0]
     assert len(largest(np.arange(100))) == STORED
