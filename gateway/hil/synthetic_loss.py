@@ -291,13 +291,19 @@ def _judge(
     return Found(node, None, _cause(drives[place], most, config))
 
 
+def _raise_ms(config: Config) -> str:
+    """The time after which a loss is flagged, ms, with the key that sets it."""
+    own, after_ms = config.adhesion.raise_ms, config.adhesion.raised_after_ms[0]
+    key = "raise_ms" if own == after_ms else "false_alarms_per_1000_h by fault_free"
+    return f"adhesion.{key} = {after_ms}"
+
+
 def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
     """Problem text for `AdhesionLost` of drives that have not lost adhesion."""
     when = f"{since_ms:.0f} ms after" if since_ms >= 0 else f"{-since_ms:.0f} ms before"
-    a = config.adhesion
     return (
         f"drive {nodes[0]} is AdhesionLost {when} the loss, although it lost no adhesion: "
-        f"{_spread(config)}adhesion.raise_ms = {a.raise_ms} ms is too "
+        f"{_spread(config)}{_raise_ms(config)} ms is too "
         "small for the noise, or a parameter in [motor] is wrong"
     )
 
@@ -325,7 +331,7 @@ def _cause(view: DriveView, most: float, config: Config) -> str:
     if most >= a.raise_probability:
         return (
             f"its loss probability reaches {most:.3g}, but does not hold for "
-            f"adhesion.raise_ms = {a.raise_ms} ms: reduce raise_ms"
+            f"{_raise_ms(config)} ms: reduce it"
         )
     if view.adhesion is Flag.UNKNOWN:
         return _unknown(view, "in the loss")

@@ -158,18 +158,20 @@ WITHOUT_MEMORY_MS: Final = {"raise_ms": 20, "raise_severe_ms": 10, "clear_ms": 3
 class FaultFree(Strict):
     """`[adhesion] fault_free`: what `traction-gateway calibrate --adhesion` has measured."""
 
-    minutes: int = Field(ge=1, description="of fault-free logs")
-    longest_ms: Annotated[
-        tuple[Annotated[int, Field(ge=0, le=60_000)], ...],
-        Field(min_length=1, max_length=STORED, description="of evidence, in the worst minutes"),
+    minutes: Annotated[int, within(1, 10**8, "", "whole minutes of fault-free logs")]
+    longest_ms: tuple[
+        Annotated[int, within(0, 60_000, "ms", "no evidence lasts longer in a minute")], ...
     ]
     """Longest time for which evidence of a loss has lasted, in the worst minutes, descending."""
 
     @field_validator("longest_ms")
     @classmethod
     def _descending(cls, times: tuple[int, ...]) -> tuple[int, ...]:
-        if list(times) != sorted(times, reverse=True):
-            msg = "times must descend: use the line that `traction-gateway calibrate` prints"
+        if not 1 <= len(times) <= STORED or list(times) != sorted(times, reverse=True):
+            msg = (
+                f"1 to {STORED} times, which must descend: use the line that "
+                "`traction-gateway calibrate --adhesion` prints"
+            )
             raise ValueError(msg)
         return times
 

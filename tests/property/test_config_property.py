@@ -24,7 +24,9 @@ BENCH = {"R_s": 0.28, "L_s": 3.465e-3, "psi_pm": 0.1989, "pole_pairs": 4, "J": 0
          "k_p": 1.5, "I_rated": 25.0, "T_rated": 30.0}  # fmt: skip
 SIGNALS = {"dbc": "x.dbc", "use": {"Ia": {"signal": "M.A"}, "Ib": {"signal": "M.B"}}}
 BASE = {"drive": [{"node": 1, "signals": SIGNALS}, {"node": 2}], "motor": {"x": BENCH},
-        "estimator": {"process_noise": [1e-4, 1e-4, 1e-5, 1e-6, 0.1]}}  # fmt: skip
+        "estimator": {"process_noise": [1e-4, 1e-4, 1e-5, 1e-6, 0.1]},
+        "adhesion": {"false_alarms_per_1000_h": 100.0,
+                     "fault_free": {"minutes": 9, "longest_ms": [20]}}}  # fmt: skip
 Bounds = tuple[float, float, bool]
 """Lowest, highest, whole numbers only."""
 
@@ -74,7 +76,8 @@ BOUNDED: dict[str, Bounds] = {path: found for path, found in KEYS.items() if fou
 def place(path):
     """Where a number of that path stands in `BASE`."""
     concrete = {"drive.*": "drive.0", "motor.*": "motor.x", "use.*": "use.Ia",
-                "cycle_ms.*": "cycle_ms.M", "not_available.*": "not_available.0"}  # fmt: skip
+                "cycle_ms.*": "cycle_ms.M", "not_available.*": "not_available.0",
+                "longest_ms.*": "longest_ms.0"}  # fmt: skip
     for pattern, one in concrete.items():
         path = path.replace(pattern, one)
     return [int(part) if part.isdigit() else part for part in path.split(".")]
@@ -181,8 +184,16 @@ def configurations(draw):
     motor["T_rated"] = torque * draw(st.floats(0.5, 2.0))
     motor["J"] = motor["T_rated"] / draw(st.floats(10.0, 1e4))
     noise = [draw(between(f"estimator.process_noise.{k}")) for k in range(5)]
+    stated = {
+        "fault_free": {
+            "minutes": draw(between("adhesion.fault_free.minutes")),
+            "longest_ms": [draw(between("adhesion.fault_free.longest_ms.*"))],
+        }
+    }
     fd = draw(st.booleans())
     detector = draw(st.sampled_from(["switching", "vb", "median", "kmeans", "paper_vb"]))
+    adhesion = some(*(path for path in under["adhesion"]
+                      if detector == "paper_vb" or path not in OF_ANOTHER))  # fmt: skip
     return {
         "dbc": {"file": "traction_fd.dbc" if fd else "traction.dbc"},
         "loop": {"rate_hz": draw(st.sampled_from(CHOICES["loop.rate_hz"]))},
@@ -191,9 +202,8 @@ def configurations(draw):
         "motor": {"x": motor},
         "estimator": {**some(*under["estimator"]),
                       **({"process_noise": noise} if draw(st.booleans()) else {})},
-        "adhesion": {**some(*(path for path in under["adhesion"]
-                              if detector == "paper_vb" or path not in OF_ANOTHER)),
-                     "detector": detector},
+        "adhesion": {**adhesion, "detector": detector,
+                     **(stated if "false_alarms_per_1000_h" in adhesion else {})},
         "thermal": some(*under["thermal"]),
     }  # fmt: skip
 

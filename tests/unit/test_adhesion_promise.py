@@ -95,7 +95,7 @@ def test_the_two_keys_need_each_other_and_times_descend():
         with pytest.raises(ConfigError, match="calibrate --adhesion"):
             parse({"adhesion": keys})
     wrong = {"minutes": 9, "longest_ms": [10, 20]}
-    with pytest.raises(ConfigError, match="times must descend"):
+    with pytest.raises(ConfigError, match="which must descend"):
         parse({"adhesion": {"false_alarms_per_1000_h": 5.0, "fault_free": wrong}})
 
 
