@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from estimators.thermal.monitor import RAISE, ThermalMonitor, followed
 from estimators.thermal.record import Record, spacing
-from estimators.tolerance import BROKEN, STORED, needed, order_of
+from estimators.tolerance import BROKEN, STORED, Promise, least_rate, needed, order_of
 
 Array = NDArray[np.float64]
 
@@ -31,39 +31,6 @@ class Hours(NamedTuple):
 
     number: int
     largest: tuple[float, ...]
-
-
-class Promise(NamedTuple):
-    """At most `rate` false alarms in 1000 h, and the limit of a fault's probability for it.
-
-    promised: whether the hours guarantee the rate; hours: those measured; needed: hours that the
-    rate needs; least: lowest rate that the measured hours could guarantee.
-    """
-
-    rate: float
-    limit: float
-    promised: bool
-    hours: int
-    needed: int
-    least: float
-
-    def __str__(self) -> str:
-        """One line, as it is printed with every run."""
-        if self.promised:
-            return (
-                f"at most {self.rate:g} false alarms in 1000 h, promised by {self.hours} "
-                f"fault-free hours; limit {self.limit:.6f}"
-            )
-        why = (
-            f"{self.needed} fault-free hours needed, {self.hours} measured, which can promise "
-            f"{self.least:.3g} at best"
-            if self.hours < self.needed
-            else f"in too many of the {self.hours} fault-free hours a fault seemed certain"
-        )
-        return (
-            f"{self.rate:g} false alarms in 1000 h not promised: {why}; limit {self.limit:.6f} "
-            "extrapolated"
-        )
 
 
 def hourly(monitor: ThermalMonitor, record: Record) -> Array:
@@ -99,13 +66,18 @@ def hours_of(peaks: Array) -> Hours:
 
 
 def promise_of(hours: Hours, rate: float) -> Promise:
-    """Promise for `rate` false alarms in 1000 h; hours: at least one."""
+    """Promise for `rate` false alarms in 1000 h; its limit: of a fault's probability.
+
+    hours: at least one.
+    """
     share = -math.expm1(-rate / 1000.0)
     n, k = hours.number, order_of(hours.number, len(hours.largest), share)
     seen = -math.expm1(math.log(BROKEN) / n)
     odds = hours.largest[k - 1] if k else max(hours.largest[0], 0.0) + math.log(seen / share)
-    probability = 1.0 / (1.0 + math.exp(-min(odds, CERTAIN)))
+    limit = max(1.0 / (1.0 + math.exp(-min(odds, CERTAIN))), RAISE)
+    promised = k > 0 and odds < CERTAIN
     return Promise(
-        rate, max(probability, RAISE), k > 0 and odds < CERTAIN, n,
-        needed(share), -1000.0 * math.log(BROKEN) / n,
+        rate, limit, promised, n, needed(share), least_rate(n, 1000), "hours",
+        f"limit {limit:.6f}{'' if promised else ' extrapolated'}",
+        f"in too many of the {n} fault-free hours a fault seemed certain",
     )  # fmt: skip

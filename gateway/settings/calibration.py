@@ -19,8 +19,8 @@ from dbc.text import read_bytes, read_toml, toml_text
 from dbc.toml_lines import numbered
 from estimators.thermal import model
 from estimators.thermal.monitor import OWN_K, RAISE, Coverage, Known
-from estimators.thermal.promise import Hours, Promise, promise_of
-from estimators.tolerance import STORED
+from estimators.thermal.promise import Hours, promise_of
+from estimators.tolerance import STORED, Promise
 from gateway.settings.config import Config, ConfigError, check_seal
 from gateway.settings.sections import Adhesion, Strict
 

@@ -18,8 +18,8 @@ from pydantic import (
 )
 
 from dbc.bounds import within
-from estimators.adhesion_promise import Promise, promise_of
-from estimators.tolerance import STORED
+from estimators.adhesion_promise import promise_of
+from estimators.tolerance import STORED, Promise
 from gateway.settings.signal_map import Signals
 
 
@@ -233,7 +233,7 @@ class Adhesion(Extended):
     @property
     def raised_after_ms(self) -> tuple[int, int]:
         """Time after which a loss is flagged, and a certain one; no earlier than promised."""
-        least = 0 if self.promise is None else self.promise.raise_ms
+        least = 0 if self.promise is None else int(self.promise.limit)
         return max(self.raise_ms, least), max(self.raise_severe_ms, least)
 
     @model_validator(mode="before")

@@ -8,7 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.adhesion_promise import Promise, promise_of
+from estimators.adhesion_promise import promise_of
+from estimators.tolerance import Promise
 from gateway.core.gateway import Gateway
 from gateway.settings.config import ConfigError
 from gateway.study.evaluation_runs import Plan, fitted, recorded
@@ -65,7 +66,7 @@ def splits(longest_ms: NDArray[np.int64], rate: float, seed: int = 0) -> list[Ke
         mixed = rng.permutation(longest_ms)
         promise = promise_of(half, largest(mixed[:half]), rate)
         judged = mixed[half:]
-        found.append(Kept(promise, int((judged >= promise.raise_ms).sum()), len(judged)))
+        found.append(Kept(promise, int((judged >= promise.limit).sum()), len(judged)))
     return found
 
 
@@ -73,7 +74,7 @@ def report(found: list[Kept]) -> str:
     """Table of the splits, and how many kept the rate."""
     rows = [
         [
-            str(k + 1), "yes" if one.promise.promised else "no", str(one.promise.raise_ms),
+            str(k + 1), "yes" if one.promise.promised else "no", f"{one.promise.limit:g}",
             str(one.alarms), str(one.minutes), "yes" if one.kept else "no",
         ]
         for k, one in enumerate(found)

@@ -1,7 +1,7 @@
 """Measure how long evidence of lost adhesion lasts where nothing is lost.
 
-For `[adhesion] fault_free`: the flags of a gateway that raises and clears them without delay are
-the evidence itself.
+For `[adhesion] fault_free`: the flags of a gateway that raises and clears them without delay show
+the evidence. Unknown evidence clears no flag, so a time that it interrupts is measured as longer.
 """
 
 from __future__ import annotations

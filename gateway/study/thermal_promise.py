@@ -10,8 +10,9 @@ import numpy as np
 
 from estimators.thermal.model_method import ModelMethod, Watching
 from estimators.thermal.monitor import ThermalMonitor, followed
-from estimators.thermal.promise import Promise, hourly, hours_of, promise_of
+from estimators.thermal.promise import hourly, hours_of, promise_of
 from estimators.thermal.record import Record, spacing
+from estimators.tolerance import Promise
 from gateway.reports.scoring import stretches
 from gateway.study.thermal_dataset import BENCH, KINDS
 from gateway.study.thermal_scores import Score, mean, table_of

@@ -30,7 +30,7 @@ def test_of_twenty_calibrations_nineteen_keep_the_rate(draw, rate):
     for _ in range(600):
         promise = promise_of(n, largest(np.sort(draw(rng, n))), rate)
         assert promise.promised
-        later = len(everything) - np.searchsorted(everything, promise.raise_ms)
+        later = len(everything) - np.searchsorted(everything, promise.limit)
         broken += later / len(everything) > share
     assert broken / 600 < 0.05 + 3 * math.sqrt(0.05 * 0.95 / 600)
 
@@ -38,7 +38,7 @@ def test_of_twenty_calibrations_nineteen_keep_the_rate(draw, rate):
 def test_too_few_minutes_promise_nothing_and_say_what_is_needed():
     promise = promise_of(60, [40, 0, 0], 1.0)
     assert not promise.promised
-    assert promise.raise_ms == 40 + STEP_MS
+    assert promise.limit == 40 + STEP_MS
     assert promise_of(promise.needed, [40], 1.0).promised
     assert not promise_of(promise.needed - 1, [40], 1.0).promised
     assert "179744 fault-free minutes needed, 60 measured" in str(promise)
@@ -48,7 +48,7 @@ def test_too_few_minutes_promise_nothing_and_say_what_is_needed():
 
 def test_evidence_that_lasts_longer_than_a_flag_may_wait_promises_nothing():
     promise = promise_of(10_000, [LATEST_MS, 0], 20.0)
-    assert (promise.promised, promise.raise_ms) == (False, LATEST_MS)
+    assert (promise.promised, promise.limit) == (False, LATEST_MS)
     assert "lasted for 500 ms and more" in str(promise)
     assert promise_of(10_000, [LATEST_MS - STEP_MS], 20.0).promised
 
@@ -83,7 +83,7 @@ def test_one_half_sets_the_time_and_the_other_is_judged():
     found = splits(times, 20_000.0)
     assert {one.minutes for one in found} == {200}
     assert all(one.promise.promised and one.kept for one in found)
-    assert {one.promise.raise_ms for one in found} <= {10, 40}
+    assert {one.promise.limit for one in found} <= {10, 40}
     assert any(one.alarms for one in found), "the rate allows some"
 
 

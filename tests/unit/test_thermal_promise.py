@@ -34,7 +34,7 @@ def test_the_limit_is_the_tolerance_limit_of_the_tables(number, kth):
     promise = promise_of(hours(number), ONE_IN_TWENTY)
     assert promise.promised
     assert odds(promise) == pytest.approx(hours(number).largest[kth - 1])
-    assert (promise.needed, promise.hours) == (59, number)
+    assert (promise.needed, promise.blocks) == (59, number)
     assert promise_of(hours(59), promise.least).promised == (promise.least >= ONE_IN_TWENTY)
 
 
