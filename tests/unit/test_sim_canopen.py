@@ -243,7 +243,10 @@ def test_tpdo_mapping_gives_the_bytes_of_the_codec(number, kind):
 
 def test_rpdo_mappings_have_the_layout_of_the_dbc():
     node, _ = _node()
-    want = {3: "Drive2_Thermal", 4: "Drive2_Estimate", 5: "Gateway_Adhesion", 6: "Gateway_Faults"}
+    want = {
+        2: "Drive2_Adhesion", 3: "Drive2_Thermal", 4: "Drive2_Estimate", 5: "Gateway_Adhesion",
+        6: "Gateway_Faults",
+    }  # fmt: skip
     for number, name in want.items():
         spec = codec().by_name[name]
         assert node.rpdo[number].cob_id == spec.can_id
