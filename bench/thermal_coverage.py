@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from estimators.thermal.model import inputs_of, predict
 from estimators.thermal.model_method import learn
-from estimators.thermal.record import Record
+from estimators.thermal.record import Record, of_driven_motors
 from estimators.thermal.system_identification import first_readings, identify
 from gateway.study.calibration_fit import LEAST_INSIDE, fits
 from gateway.study.evaluation_runs import seeds_of
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 def beside(parameters: Array, run: Record) -> Array:
     """(K, M, 3) K: residual of the model less the median of the other motors'; M of at least 2."""
     off = run.temperature - predict(parameters, inputs_of(run), first_readings(run))
-    others = [np.median(np.delete(off, j, axis=1), axis=1) for j in range(run.motors)]
+    others = [np.nanmedian(np.delete(off, j, axis=1), axis=1) for j in range(run.motors)]
     return off - np.stack(others, axis=1)
 
 
@@ -59,9 +59,10 @@ def measured(seed: int, world: str) -> Row | None:
     motors = runs.limiting.motors
     if motors < 2:
         return None
-    known = learn(identify(runs.healthy[:-1]), runs.healthy)
-    printed = sum(fit.explained for fit in fits(known, runs.healthy[-1], range(motors)))
-    first, then = (beside(known.parameters, run) for run in (runs.healthy[-1], runs.limiting))
+    healthy = [of_driven_motors(run) for run in runs.healthy]
+    known = learn(identify(healthy[:-1]), healthy)
+    printed = sum(fit.explained for fit in fits(known, healthy[-1], range(motors)))
+    first, then = (beside(known.parameters, run) for run in (healthy[-1], runs.limiting))
     centre, sigma = np.nanmedian(first, axis=0), np.nanstd(first, axis=0)
     inside = (np.abs(then - centre) <= 2.0 * sigma).mean(axis=0).min(axis=1)
     whole = then[: len(then) // MINUTE * MINUTE].reshape(-1, MINUTE, motors, 3).mean(axis=1)

@@ -39,7 +39,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_thermal_monitor_order.py",
        "tests/unit/test_thermal_step_detector.py",
        "tests/unit/test_thermal_model.py",
-       "tests/unit/test_thermal_coverage.py",
+       "tests/unit/test_thermal_coverage.py", "tests/unit/test_thermal_cut_out.py",
        "tests/unit/test_trigonometry.py",
        "tests/unit/test_est_acquisition.py",
        "tests/unit/test_est_adaptation.py",

@@ -52,15 +52,16 @@ def temperatures(current, speed, scale):
     return out
 
 
-def write(path, config_path, seconds, *, cycle_ms=1000, without=(), seed=1):
-    """A log. without: (node, signal) that are not available in it."""
+def write(path, config_path, seconds, *, cycle_ms=1000, without=(), cut_out=(), seed=1):
+    """A log. without: (node, signal) that are not available in it; cut_out: nodes, no current."""
     settings = load(config_path)
     codec = bind(settings.dbc_path, settings.nodes)
     rng = np.random.default_rng(seed)
-    current, speed = duty(seconds, rng)
+    driven, speed = duty(seconds, rng)
     each = 1000 // cycle_ms
     frames = []
     for node in settings.nodes:
+        current = driven * (node not in cut_out)
         warm = temperatures(current, speed, 1.0 + 0.03 * node)
         rows = np.repeat(warm, each, axis=0) + rng.normal(0.0, 0.15, (seconds * each, 4))
         columns = {

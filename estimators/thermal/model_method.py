@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from estimators.thermal import coverage, hypotheses, model
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
 from estimators.thermal.model import inputs_of, predict, simulate
 from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor, followed
-from estimators.thermal.record import Record, spacing, split
+from estimators.thermal.record import Record, of_driven_motors, spacing, split
 from estimators.thermal.system_identification import first_readings, identify
 
 Array = NDArray[np.float64]
@@ -76,34 +76,70 @@ class Watching:
         return out
 
 
-def learn(parameters: Array, runs: Sequence[Record]) -> Known:
-    """Calibration for `monitor` from fault-free runs; the last was not used for `parameters`."""
-    rest = runs[-1]
-    dt = spacing(rest)
-    nothing = np.zeros((rest.motors, 3))
-    known = Known(
-        parameters,
-        nothing,
-        np.ones_like(nothing),
-        1.0,
-        _duty(parameters, runs),
-    )
-    monitor = ThermalMonitor(known, dt)
+class _Blocks(NamedTuple):
+    """Blocks of a fault-free run: B of M motors.
+
+    middle_k, off_k (B, M, 3): medians of the residuals, and these relative to the other motors;
+    inputs (B, M) of `struct thermal_sums`; variance (M, 3) K^2 around the medians.
+    """
+
+    middle_k: Array
+    off_k: Array
+    inputs: Records
+    variance: Array
+
+
+def _blocks(known: Known, run: Record) -> _Blocks:
+    """Blocks of a run, for filters that expect no fault."""
+    monitor = ThermalMonitor(known, spacing(run))
     monitor.config["imm"]["begin_per_s"] = 0.0
     blocks, spread = [], []
-    for judged in followed(monitor, rest):
+    for judged in followed(monitor, run):
         if judged:
             blocks.append(monitor.motors[["middle_k", "off_k", "inputs"]].copy())
             raw = monitor.motors["raw"][:, :, : monitor.block]
             spread.append((raw - blocks[-1]["middle_k"][:, :, None]) ** 2)
-    middles, off, inputs = (
+    middle_k, off_k, inputs = (
         np.array([block[name] for block in blocks]) for name in ("middle_k", "off_k", "inputs")
     )
-    noise = np.sqrt(np.nanmean(np.concatenate(spread, axis=2), axis=2))
-    known = known._replace(centre=np.nanmedian(middles, axis=0), noise=noise)
-    beside = off - np.nanmedian(off, axis=0)
-    known = _likeliest(known, inputs, beside, dt)
-    return known._replace(coverage=coverage.measure(ThermalMonitor(known, dt), beside, inputs))
+    return _Blocks(middle_k, off_k, inputs, _mean(np.concatenate(spread, axis=2), axis=2))
+
+
+def learn(parameters: Array, runs: Sequence[Record]) -> Known:
+    """Calibration for `monitor` from fault-free runs; the last was not used for `parameters`.
+
+    The centre is the mean over all runs: a motor's offset differs from one run to another, and the
+    last one alone would pass its own for the motor's. A motor without readings in the last run has
+    the mean noise of the others, and no measured coverage.
+    """
+    dt = spacing(runs[-1])
+    nothing = np.zeros((runs[-1].motors, 3))
+    known = Known(parameters, nothing, np.ones_like(nothing), 1.0, _duty(parameters, runs))
+    every = [_blocks(known, run) for run in runs]
+    last = every[-1]
+    noise = np.sqrt(last.variance)
+    noise = np.where(np.isfinite(noise), noise, _mean(noise, axis=0))
+    centre = np.nan_to_num(_mean([_median(run.middle_k) for run in every], axis=0))
+    beside = last.off_k - np.nan_to_num(_mean([_median(run.off_k) for run in every], axis=0))
+    known = _likeliest(known._replace(centre=centre, noise=noise), last.inputs, beside, dt)
+    found = coverage.measure(ThermalMonitor(known, dt), beside, last.inputs)
+    return known._replace(coverage=found)
+
+
+def _mean(values: Array | Sequence[Array], axis: int) -> Array:
+    """Mean of the finite values along an axis; NaN where there are none."""
+    known = np.isfinite(values)
+    count = known.sum(axis=axis)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _median(values: Array) -> Array:
+    """Median of the finite values along the first axis; NaN where there are none."""
+    out = np.full(values.shape[1:], np.nan)
+    some = np.isfinite(values).any(axis=0)
+    out[some] = np.nanmedian(values[:, some], axis=0)
+    return out
 
 
 def _likeliest(known: Known, inputs: Records, off: Array, dt: float) -> Known:
@@ -156,6 +192,7 @@ class ModelMethod:
 
     def fit_runs(self, runs: Sequence[Record]) -> Calibrated | Watching:
         """Calibrate on two or more fault-free runs: the last one is for the spread."""
+        runs = [of_driven_motors(run) for run in runs]
         rest = runs[-1]
         parameters = identify(runs[:-1])
         if spacing(rest) < LONGEST_BLOCK_S:

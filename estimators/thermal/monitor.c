@@ -20,6 +20,7 @@
 #include "estimators/thermal/residuals.h"
 
 enum { P = THERMAL_POINTS, SENSOR_KINDS = IMM_MODES - 1 };
+enum { MOST_AWAY = 1 << 20 }; /* readings, as far as is counted */
 
 static const double MOST_LEARNT_K = 0.9; /* K, largest deviation in a block that is learnt */
 static const double RETURNED_K = 2.0; /* K, largest offset of a sensor that crept and came back */
@@ -29,6 +30,10 @@ static const double SURE = 1.0 - 1e-6; /* probability that a sensor that has ste
 static const double LEAST = 1e-300;    /* least sum of probabilities that divides */
 /* A reported fault ends below the first probability; a reported probability is above one half. */
 static const double CLEAR = 0.3, HALF = 0.5;
+static const double CUT_OUT_S = 30.0; /* s, over which currents are averaged */
+static const double DRIVEN = 0.01; /* share of the calibration's mean squared current: 10 % of it */
+/* Bursts in a row that may be one departure; a sensor that is away for longer has a new level. */
+static const double MOST_BURSTS = 4.0;
 
 /* Copy the available readings of a block, in order; returns their number. */
 static int readings_of(const double *values, int block, double *out)
@@ -52,31 +57,44 @@ static double block_median(const double *values, int n, int block)
     return median_in_place(sorted, n);
 }
 
-/* Log odds of a loose connector, from the n readings x of a block, around their median.
- *
- * Far readings at an edge of the block belong to a burst only if the sensor returns: the next
- * block, or the last one, is at the same level as this one. */
-static double loose_log_odds(const struct thermal_config *config, const double *x, int n,
-                             double middle, double far, struct thermal_burst *burst)
+/* Level from which bursts depart, for n readings x of a block: the median of those near the last
+ * level, because bursts can fill a short block. A sensor that stays away has a new level. */
+static double level_of(const struct thermal_config *config, const double *x, int n, double far,
+                       const struct thermal_burst *burst)
 {
-    int first = 0, last = 0, inner = 0;
-    for (int k = 0; k < n; k++) {
-        if (fabs(x[k] - middle) <= far) {
-            inner += last;
-            last = 0;
-        } else if (k == first) {
-            first += 1;
-        } else {
-            last += 1;
-        }
-    }
-    const int near = n - first - inner - last;
-    const int returned = fabs(middle - burst->middle_k) < 0.5 * far;
-    const int odd = inner + (returned ? first + burst->last : 0);
-    burst->middle_k = middle;
-    burst->last = last;
-    if (n == 0)
+    double near[THERMAL_BLOCK_MAX];
+    int count = 0;
+    if (isnan(burst->level_k) || burst->away > MOST_BURSTS * config->burst_length)
+        return block_median(x, n, config->block);
+    for (int k = 0; k < n; k++)
+        if (fabs(x[k] - burst->level_k) <= far)
+            near[count++] = x[k];
+    return count > 0 ? median_in_place(near, count) : burst->level_k;
+}
+
+/* Log odds of a loose connector, from the n readings x of a block.
+ *
+ * Far readings belong to a burst only once the sensor is back within half of `far`. Those at the
+ * end of a block count with the block in which it returns. */
+static double loose_log_odds(const struct thermal_config *config, const double *x, int n,
+                             double far, struct thermal_burst *burst)
+{
+    int odd = 0, near = 0;
+    if (isnan(burst->level_k)) /* it may have started within a burst */
+        burst->away = MOST_AWAY;
+    burst->level_k = level_of(config, x, n, far, burst);
+    if (n == 0 || isnan(burst->level_k))
         return NAN;
+    for (int k = 0; k < n; k++) {
+        const double distance = fabs(x[k] - burst->level_k);
+        if (distance > (burst->away > 0 ? 0.5 * far : far)) {
+            burst->away += burst->away < MOST_AWAY;
+            continue;
+        }
+        odd += burst->away <= MOST_BURSTS * config->burst_length ? burst->away : 0;
+        burst->away = 0;
+        near++;
+    }
     const double by_odd = elementary_log(config->loose_share / config->good_share);
     const double by_near = elementary_log((1.0 - config->loose_share) / (1.0 - config->good_share));
     return (odd * by_odd + near * by_near) / config->burst_length;
@@ -91,9 +109,8 @@ static void summarise(const struct thermal_config *config, const struct thermal_
         int n = readings_of(motor->block[q], config->block, x);
         motor->middle_k[q] = block_median(x, n, config->block);
         n = readings_of(motor->raw[q], config->block, x);
-        const double middle = block_median(x, n, config->block);
         const double far = larger(config->far_sigma * known->noise_k[q], config->far_k);
-        motor->bursts[q] = loose_log_odds(config, x, n, middle, far, &motor->burst[q]);
+        motor->bursts[q] = loose_log_odds(config, x, n, far, &motor->burst[q]);
     }
 }
 
@@ -262,9 +279,32 @@ void thermal_monitor_judge(struct thermal_monitor *all, int count)
     }
 }
 
+/* Find the motors that are cut out: the others are driven, and these turn without current. Where
+ * no motor is driven, all stay what they were. */
+static void find_cut_out(struct thermal_monitor *all, const struct thermal_input *input)
+{
+    const struct thermal_config *config = all->config;
+    const double share = smaller(config->dt_s / CUT_OUT_S, 1.0);
+    double *squares = all->workspace;
+    int n = 0;
+    for (int m = 0; m < all->motor_count; m++) {
+        struct thermal_motor *motor = &all->motors[m];
+        if (!isfinite(input[m].current_square))
+            continue;
+        motor->current_square += share * (input[m].current_square - motor->current_square);
+        squares[n++] = motor->current_square;
+    }
+    const double middle = n > 0 ? median_in_place(squares, n) : 0.0;
+    if (!(middle > DRIVEN * config->duty_square))
+        return;
+    for (int m = 0; m < all->motor_count; m++)
+        all->motors[m].cut_out = all->motors[m].current_square < config->cut_out * middle;
+}
+
 void thermal_monitor_add_sample(struct thermal_monitor *all, const double *reading,
                                 const struct thermal_input *input)
 {
+    find_cut_out(all, input);
     thermal_add_sample(all->config, all->known, all->motors, all->motor_count, all->position,
                        reading, input);
     all->position += 1;

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from estimators._core import Addressed, Records, pointer, records
 from estimators.thermal import model, step_detector
 from estimators.thermal.hypotheses import HEAT, KINDS
-from estimators.thermal.record import Record
+from estimators.thermal.record import CUT_OUT, Record
 
 Array = NDArray[np.float64]
 
@@ -235,8 +235,8 @@ class ThermalMonitor(Addressed):
     def kinds(self) -> tuple[Array, Array]:
         """(M, 11) probability of every kind of fault by now, and (M,) K: its size if there is one.
 
-        The probabilities of a motor that its model does not explain are 0. A sensor that has
-        stepped is off for certain, whatever other fault the motor has.
+        The probabilities of a motor that its model does not explain, or that is cut out, are 0. A
+        sensor that has stepped is off for certain, whatever other fault the motor has.
         """
         motors = pointer("struct thermal_motor", self.motors)
         kind = np.empty((len(self.motors), len(KINDS)))
@@ -322,6 +322,7 @@ def _config(known: Known, dt_s: float) -> Records:
     out["dt_s"], out["gap_s"], out["block"] = dt_s, GAP_S, block
     speed, square, cooling, copper = known.duty
     out["duty_speed"], out["duty_cooling"], out["duty_copper"] = speed, cooling, copper
+    out["duty_square"], out["cut_out"] = square, CUT_OUT
     settles = -np.linalg.inv(model.system_matrix(known.parameters.mean(axis=0), square, speed))
     out["settles_k"] = settles[list(model.MEASURED)].max(axis=0)
     out["loose_share"], out["good_share"] = LOOSE_SHARE, GOOD_SHARE

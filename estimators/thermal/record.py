@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 POINTS: Final = ("stator", "drive end", "non-drive end")
+CUT_OUT: Final = 1.0 / 400.0
+"""A motor with less than this share of the others' mean I^2 is cut out: noise of its sensors."""
 MEMORIES_S: Final = (300.0, 3600.0)
 """Time constants of the averages in `features`: a winding's, and a whole motor's."""
 
@@ -35,6 +37,27 @@ class Record(NamedTuple):
     def motors(self) -> int:
         """M."""
         return int(self.temperature.shape[1])
+
+
+def cut_out(record: Record) -> NDArray[np.bool_]:
+    """(M,) motors that turned without current for the whole record."""
+    square = record.current_square.mean(axis=0)
+    return np.asarray(square < CUT_OUT * np.median(square))
+
+
+def of_driven_motors(record: Record) -> Record:
+    """The record without the readings of motors that were cut out; they get the others' mean I^2.
+
+    Such a motor is heated by its iron and its bearings alone. A model that is fitted to driven
+    motors does not explain it, and would be bent by its readings.
+    """
+    idle = cut_out(record)
+    if not idle.any():
+        return record
+    temperature, square = record.temperature.copy(), record.current_square.copy()
+    temperature[:, idle] = np.nan
+    square[:, idle] = square[:, ~idle].mean(axis=1, keepdims=True)
+    return record._replace(temperature=temperature, current_square=square)
 
 
 def spacing(record: Record) -> float:

@@ -19,12 +19,15 @@ static const double NO_EXTRA[L] = {0.0};
 
 void thermal_motor_reset(const struct thermal_config *config, struct thermal_motor *motor)
 {
-    *motor = (struct thermal_motor){
-        .unknown_s = motor->unknown_s, .trusted = motor->trusted, .lost = motor->lost};
+    *motor = (struct thermal_motor){.unknown_s = motor->unknown_s,
+                                    .current_square = motor->current_square,
+                                    .trusted = motor->trusted,
+                                    .lost = motor->lost,
+                                    .cut_out = motor->cut_out};
     imm_start(&config->imm, &motor->imm);
     for (int q = 0; q < P; q++) {
         step_reset(&motor->step[q]);
-        motor->burst[q].middle_k = NAN;
+        motor->burst[q].level_k = NAN;
         motor->middle_k[q] = motor->off_k[q] = NAN;
         for (int k = 0; k < THERMAL_BLOCK_MAX; k++)
             motor->window[q][k] = motor->block[q][k] = motor->raw[q][k] = NAN;
@@ -125,11 +128,16 @@ static void add_sample(const struct thermal_config *config,
     const struct thermal_parameters *p = &known->model;
     double since = config->dt_s + motor->unknown_s; /* in a gap the motor has continued to run */
     motor->unknown_s = is_known(u) ? 0.0 : since;
-    motor->lost = motor->started && motor->unknown_s > config->gap_s;
+    motor->lost = motor->cut_out || (motor->started && motor->unknown_s > config->gap_s);
     for (int q = 0; q < P; q++)
         motor->block[q][k] = motor->raw[q][k] = NAN;
+    if (motor->cut_out)
+        return;
     if (is_known(u) && !motor->started) {
-        motor->started = (uint8_t)thermal_motor_start(p, u, reading, motor->lumps);
+        double centred[P];
+        for (int q = 0; q < P; q++)
+            centred[q] = reading[q] - known->centre_k[q];
+        motor->started = (uint8_t)thermal_motor_start(p, u, centred, motor->lumps);
         since = config->dt_s;
         if (motor->started)
             widen_core(motor);

@@ -13,7 +13,8 @@ int thermal_motor_start(const struct thermal_parameters *p, const struct thermal
                         const double *reading, double *x);
 
 /* Add one sample of all motors, the k-th of a block: reading (motors, THERMAL_POINTS) degC, input
- * (motors), NaN without. A motor whose inputs were unknown for too long is reset, and is `lost`. */
+ * (motors), NaN without. A motor that is cut out, or whose inputs were unknown for too long, is reset
+ * and is `lost`. */
 void thermal_add_sample(const struct thermal_config *config,
                         const struct thermal_motor_config *known, struct thermal_motor *motor,
                         int motors, int k, const double *reading,

@@ -89,11 +89,12 @@ def identify(
 
     typical (18,): start of the search and mean of the prior; spread (18,): standard deviations of
     the prior, of the logarithms of rates and of offsets, K.
-    Raises ValueError if there is no reading.
+    Raises ValueError unless every motor has a sample with all temperatures.
     """
     inputs = [_thinned(run) for run in runs]
-    if not any(np.isfinite(run.readings).all(axis=(1, 2)).any() for run in inputs):
-        raise ValueError("no sample with all temperatures in any run")
+    complete = [np.isfinite(run.readings).all(axis=2).any(axis=0) for run in inputs]
+    if not np.any(complete, axis=0).all():
+        raise ValueError("a motor has no sample with all temperatures in any run")
     fleet = [run.mean() for run in inputs]
     theta = _mean_motor(fleet, typical, spread)
     slopes = _slopes(theta, fleet, typical)[:, :COUNT]

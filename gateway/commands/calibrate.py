@@ -86,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
     motors = len(config.nodes)
     seen = f"{learner.samples} samples of {motors} motors"
     print(f"{shown(path)}: {seen}; MAISD limits {limits} K; {model}")
-    for line in promised:
+    for line in (*learner.notes, *promised):
         print(line)
     if learner.fits:
         print("\n".join(calibration_fit.lines(learner.fits)))

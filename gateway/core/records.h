@@ -523,10 +523,10 @@ struct thermal_sums {
     double count;          /* number of samples */
 };
 
-/* End of the last block of one sensor, for bursts that reach into the next block. */
+/* Bursts of one sensor, which may reach into the next block. */
 struct thermal_burst {
-    double middle_k; /* K, median of the block */
-    int32_t last;    /* number of readings far from it at the end of the block */
+    double level_k; /* K, level from which they depart; NaN: not known */
+    int32_t away;   /* readings since the sensor left it; 0: it is there */
 };
 
 /* Constants of one motor, learnt from fault-free runs. */
@@ -545,7 +545,8 @@ struct thermal_config {
     struct step_config steps;
     double dt_s;         /* s, time from one sample to the next */
     double gap_s;        /* s without inputs after which a motor's model starts again */
-    double duty_speed;   /* rad/s, mean speed in the fault-free runs */
+    double duty_square;  /* A^2, mean of the current's squared amplitude in the fault-free runs */
+    double duty_speed;   /* rad/s, mean speed in them */
     double duty_cooling; /* K/s, mean cooling of the frame */
     double duty_copper;  /* K/s, mean heating of the winding */
     double settles_k
@@ -559,13 +560,15 @@ struct thermal_config {
     double loose_end_per_s;   /* 1/s, rate at which a loose connector is mended */
     double learn_per_s;       /* 1/s, rate at which a fault-free motor's baseline is learnt */
     double raise_probability; /* probability above which a fault is reported: at least 0.9 */
-    int32_t block;            /* samples of a block, at least 1 */
+    double cut_out; /* share of the others' mean squared current below which a motor is cut out */
+    int32_t block;  /* samples of a block, at least 1 */
 };
 
 /* State of one motor; `thermal_motor_reset` sets it to nothing known. */
 struct thermal_motor {
     double lumps[THERMAL_LUMPS]; /* degC, temperatures by the open-loop model (enum thermal_lump) */
     double unknown_s;            /* s since its inputs were last known */
+    double current_square;       /* A^2, mean over the last half minute */
     struct step_state step[THERMAL_POINTS];           /* step detector of each sensor */
     struct thermal_burst burst[THERMAL_POINTS];       /* end of each sensor's last block */
     double window[THERMAL_POINTS][THERMAL_BLOCK_MAX]; /* K, latest residuals, the newest last */
@@ -589,6 +592,7 @@ struct thermal_motor {
     uint8_t lost;    /* 1: its inputs were unknown for too long: it has to start again */
     uint8_t held;    /* 1: a fault is reported */
     uint8_t trusted; /* 1: in the last block other motors were compared with it */
+    uint8_t cut_out; /* 1: it turns without current, for which it has no model */
 };
 
 #define HYPOTHESIS_SIZES  11  /* sizes of a fault that are tested */

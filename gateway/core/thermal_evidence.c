@@ -130,7 +130,7 @@ static void judge_by_model(const struct temperature_monitor *all, int j,
     const struct thermal_motor *model = &all->model->motors[j];
     if (model->unknown_s > BLIND_S) {
         out->reason = REASON_STALE;
-    } else if (all->model->known[j].unexplained) {
+    } else if (all->model->known[j].unexplained || model->cut_out) {
         out->reason = REASON_CONFIG;
     } else if (model->judged == 0) {
         out->reason = REASON_STARTING;

@@ -92,7 +92,7 @@ _REASONS: Final = {
         REASONS[Reason.CONFIG],
         "`traction-gateway calibrate` makes limits for the thermal flags from fault-free logs",
         "a thermal flag without `[thermal] calibration`; a motor whose thermal model did not hold "
-        "on held-back logs",
+        "on held-back logs, or that turns without current",
     ),
 }
 _HEALTH: Final = {

@@ -7,6 +7,7 @@ single samples would be wrong; the measured maximum is not.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from estimators.thermal import model
 from estimators.thermal.model_method import learn
 from estimators.thermal.monitor import Coverage, Known, ThermalMonitor
 from estimators.thermal.promise import Hours, hourly, hours_of
-from estimators.thermal.record import Record, split
+from estimators.thermal.record import Record, cut_out, of_driven_motors, split
 from estimators.thermal.system_identification import SCALED_SIGMA, identify, scaled
 from gateway.settings.calibration import (
     POINTS,
@@ -78,7 +79,7 @@ class Learner:
         self.hours: Hours | None = None
         """Hours of the last log, if a rate is stated."""
         self.window_s = window_s
-        self.means: list[np.ndarray] = []
+        self.means: list[list[np.ndarray]] = []
         shape = (len(nodes), len(POINTS))
         self.hold_ns = np.zeros(shape)
         self.step_k = np.zeros(shape)
@@ -91,11 +92,14 @@ class Learner:
         self.fits: list[Fit] = []
         self.coverage: Coverage | None = None
         """Coverage of every motor, once a model has been learnt."""
+        self.notes: list[str] = []
+        """What was left out for the models."""
         self._last: np.ndarray | None = None
 
     def begin(self) -> None:
         """Start a new log: nothing is compared across the cut."""
         self._last = None
+        self.means.append([])
         self.seconds.append([])
 
     def add(self, cycles: Cycles, fitted: NDArray[np.bool_], dt_s: float) -> None:
@@ -111,7 +115,7 @@ class Learner:
         if not known.any():
             return
         self.fitted = fitted
-        self.means.append(cycles.mean_c[known])
+        self.means[-1].append(cycles.mean_c[known])
         self.samples += int(known.sum())
         held = np.where(fitted, cycles.held_ns[known].max(axis=0), 0)
         self.hold_ns = np.maximum(self.hold_ns, held)
@@ -137,6 +141,14 @@ class Learner:
             return never or ["no second in which current, speed and ambient of all were known"]
         if len(runs) == 1:
             runs = list(split(runs[0], round(FIT_SHARE * len(runs[0].at))))
+        never_driven = [
+            f"drive {node}: it turned without current in every log that models are fitted to: all "
+            f"but the last, or the first {FIT_SHARE:.0%} of a single one"
+            for node, n in zip(self.nodes, _times_cut_out(runs[:-1]).tolist(), strict=True)
+            if n == len(runs) - 1
+        ]
+        if never_driven:
+            return never_driven
         shortest = round(min(len(run.at) for run in runs) * self.dt_s)
         if shortest < FEWEST_SECONDS * self.dt_s:
             return [
@@ -153,7 +165,7 @@ class Learner:
         if self.samples < 10:
             problem = "no stretch with all sensors of all motors; record a longer fault-free run"
             raise ConfigError("calibrate", [problem])
-        means = np.concatenate(self.means)
+        means = np.concatenate([mean for log in self._comparable() for mean in log])
         gain, offset = _against_fleet(means, self.fitted)
         centred = (means - offset) / gain
         compared = [maisd.compare(m, self.fitted) for m in centred]
@@ -208,6 +220,15 @@ class Learner:
             return None
         if np.ptp(np.concatenate([run.current_square.mean(axis=1) for run in runs])) <= 0.0:
             return None
+        if (_times_cut_out(runs[:-1]) == len(runs) - 1).any():
+            return None
+        self.notes = [
+            f"drive {node} turned without current in {n} of {len(runs)} runs; its readings in them "
+            "are not used for its model"
+            for node, n in zip(self.nodes, _times_cut_out(runs).tolist(), strict=True)
+            if n
+        ]
+        runs = [of_driven_motors(run) for run in runs]
         known = learn(identify(runs[:-1], scaled(runs[:-1]), SCALED_SIGMA), runs)
         self.fits, self.coverage = fits(known, runs[-1], self.nodes), known.coverage
         if self.promises:
@@ -216,6 +237,16 @@ class Learner:
                 raise ConfigError("thermal.false_alarms_per_1000_h", [NO_HOUR])
             self.hours = hours_of(peaks)
         return known
+
+    def _comparable(self) -> list[list[np.ndarray]]:
+        """Means of the logs in which all motors were driven; of all logs if there is none."""
+        records = [self._record(log) for log in self.seconds]
+        driven = [
+            means
+            for means, record in zip(self.means, records, strict=True)
+            if means and (record is None or not cut_out(record).any())
+        ]
+        return driven or self.means
 
     def _record(self, log: list[Sample]) -> Record | None:
         """A log's seconds from the first one with everything known; None if there is none.
@@ -237,6 +268,11 @@ class Learner:
             temperature, np.arange(len(temperature)), square[first:], speed[first:].mean(axis=1),
             ambient[first:].mean(axis=1), self.dt_s,
         )  # fmt: skip
+
+
+def _times_cut_out(runs: Sequence[Record]) -> NDArray[np.int64]:
+    """(M,) number of runs in which each motor turned without current."""
+    return np.asarray(np.sum([cut_out(run) for run in runs], axis=0, dtype=np.int64))
 
 
 def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -38,7 +38,7 @@ RESPONSE = ("tests/unit/test_response_reference.py", "tests/unit/test_detect_lea
 MONITOR = (
     "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_monitor_odd.py",
     "tests/unit/test_thermal_monitor_order.py", "tests/unit/test_thermal_monitor.py",
-    "tests/unit/test_thermal_coverage.py",
+    "tests/unit/test_thermal_coverage.py", "tests/unit/test_thermal_cut_out.py",
 )  # fmt: skip
 IMM = ("tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_imm.py")
 ACQUISITION = tuple(f"tests/unit/test_est_acquisition.py::{name}" for name in (

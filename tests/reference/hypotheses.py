@@ -189,23 +189,6 @@ def references(u: Array, trusted: Flags, out: Array) -> None:
                     out[m, q] = above if abs(above) < abs(below) else below
 
 
-def compare(residual: Array, rate: float, out: Array) -> None:
-    """Fill out (K, M, 3): fault-free residuals as `sweep` would look at them, baselines learnt."""
-    samples, motors, _ = residual.shape
-    baseline = np.zeros((motors, _POINTS))
-    beside = np.empty((motors, _POINTS))
-    trusted = np.ones(motors, dtype=np.bool_)
-    for k in range(samples):
-        u = residual[k] - baseline
-        references(u, trusted, beside)
-        for m in range(motors):
-            for q in range(_POINTS):
-                off = u[m, q] - beside[m, q]
-                out[k, m, q] = off
-                if math.isfinite(off):
-                    baseline[m, q] += rate * off
-
-
 def sweep(
     z: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
     benign: Array, rates: Array, kind: Array, size: Array, rise: Array,

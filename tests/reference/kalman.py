@@ -40,18 +40,6 @@ def symmetric(P: Array) -> Array:
     return 0.5 * (P + transpose(P))
 
 
-def predict(
-    x: Float[Array, "N n"],
-    P: Float[Array, "N n n"],
-    F: Float[Array, "N n n"],
-    Q: Float[Array, "N n n"],
-) -> tuple[Float[Array, "N n"], Float[Array, "N n n"]]:
-    """Prior of the next instant, eq. (3) and the linear case of (4)."""
-    x = np.einsum("nij,nj->ni", F, x)
-    P = F @ P @ transpose(F) + Q
-    return x, symmetric(P)
-
-
 def update(
     x: Float[Array, "N n"],
     P: Float[Array, "N n n"],

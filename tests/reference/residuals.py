@@ -45,21 +45,21 @@ class Motor:
         for state in self.steps:
             step_detector.start(state)
 
-    def add(self, k, reading, square, speed, air):
+    def add(self, k, reading, square, speed, air, cut_out=False):
         """The k-th sample of a block: residuals (3,) K with and without steps."""
         c, p, nothing = self.config, self.p, np.full(3, np.nan)
         since = c.dt_s + self.unknown_s
         known = bool(np.isfinite([square, speed, air]).all())
         self.unknown_s = 0.0 if known else since
-        self.lost = self.lumps is not None and self.unknown_s > c.gap_s
-        if not known:
-            if self.lost:
-                self.reset()
+        self.lost = cut_out or (self.lumps is not None and self.unknown_s > c.gap_s)
+        if self.lost:
+            self.reset()
+        if self.lost or not known:
             return nothing, nothing
         if self.lumps is None:
             if not np.isfinite(reading).any():
                 return nothing, nothing
-            self.lumps, since = start(p, speed, air, reading), c.dt_s
+            self.lumps, since = start(p, speed, air, reading - self.centre), c.dt_s
             self.span = self.lumps[0] - self.lumps[2]
         step(p, square, speed, air, np.zeros(5), since, self.lumps)
         rise = max(self.lumps[2] - air, 3.0)

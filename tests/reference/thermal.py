@@ -30,11 +30,11 @@ def words(motor, kind, unexplained=False):
     """Thermal and sensor evidence, reason, class, whose sensor; sensor None: the model tells none.
 
     motor: one `struct thermal_motor`; kind (11,): `ThermalMonitor.kinds`;
-    unexplained: its model did not hold at calibration.
+    unexplained: its model did not hold at calibration. A motor that is cut out has no model.
     """
     if motor["unknown_s"] > BLIND_S:
         return Flag.UNKNOWN, None, Reason.STALE, *NOTHING
-    if unexplained:
+    if unexplained or motor["cut_out"]:
         return Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING
     if not motor["judged"]:
         return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING

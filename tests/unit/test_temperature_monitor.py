@@ -184,7 +184,7 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
     for _ in range(1000):
         unexplained[:] = rng.random(3) < 0.1
         motors["unknown_s"] = rng.choice([0.0, 5.0, 5.1], 3, p=[0.8, 0.1, 0.1])
-        motors["judged"] = rng.random(3) < 0.9
+        motors["judged"], motors["cut_out"] = rng.random(3) < 0.9, rng.random(3) < 0.1
         motors["off_k"] = np.where(rng.random((3, 3)) < 0.4, np.nan, 1.0)
         motors["held"] = rng.random(3) < 0.6
         motors["fault_probability"] = rng.choice([0.5, 0.51], 3)

@@ -189,19 +189,22 @@ def evidence(far, near):
 
 
 def closed(blocks):
-    """Log odds of one sensor's blocks (B, K), one after the other."""
-    one, out = train(1), []
+    """Log odds of one sensor's blocks (B, K), one after the other; its neighbours read higher."""
+    one, out = train(1, samples=blocks.shape[1]), []
     for block in blocks:
-        one.motors["raw"][0, :, : one.block] = one.motors["block"][0, :, : one.block] = block
+        each = block + 7.0 * np.arange(3)[:, None]
+        one.motors["raw"][0, :, : one.block] = one.motors["block"][0, :, : one.block] = each
         one.close_block()
         one.record["waiting"] = 0
         out.append(one.motors["bursts"][0, 0])
     return out
 
 
+@pytest.mark.parametrize("together", [16, 8, 4])
 @pytest.mark.parametrize("first", range(16, 33))
-def test_a_burst_counts_once_wherever_a_block_ends_and_a_step_does_not(first):
-    quiet = np.full((4, 16), 0.1)
+def test_a_burst_counts_once_wherever_a_block_ends_and_a_step_does_not(first, together):
+    """Even if it fills most of a block, or more than one."""
+    quiet = np.full((64 // together, together), 0.1)
     rest = 4 * 16 - 5
     for size in (20.0, -5.0):
         burst = quiet.copy()
@@ -212,10 +215,38 @@ def test_a_burst_counts_once_wherever_a_block_ends_and_a_step_does_not(first):
         assert max(closed(step)) <= 0.0, size
 
 
+def test_a_departure_of_twenty_readings_is_bursts_and_a_longer_one_is_a_new_level():
+    for away, odd, near in ((20, 20, 44), (21, 0, 43)):
+        readings = np.zeros((8, 8))
+        readings.ravel()[16 : 16 + away] = 9.0
+        assert sum(closed(readings)) == pytest.approx(evidence(odd, near)), away
+    readings = np.zeros((10, 8))
+    readings[2:] = 9.0
+    readings[6, :5] = 0.0
+    says = closed(readings)
+    assert says[2:5] == pytest.approx([0.0] * 3), "it may still come back"
+    assert says[5] == pytest.approx(evidence(0, 8)), "it stays"
+    assert says[6] == pytest.approx(evidence(5, 3)), "a burst from the new level"
+
+
+def test_a_sensor_is_back_within_half_of_what_is_far():
+    noise = train(1).known_motors["noise_k"].item(0)
+    assert monitor.FAR_SIGMA * noise < monitor.FAR_K
+    for back, odd in ((1.45, 5), (1.55, 0), (2.95, 0)):
+        readings = np.zeros((2, 16))
+        readings[1, 7:12], readings[1, 12:] = 8.0, back
+        assert closed(readings)[1] == pytest.approx(evidence(odd, 11 if odd else 7)), back
+
+
+def test_a_level_that_drifts_is_followed():
+    drift = np.arange(320.0).reshape(20, 16) * 0.05
+    assert sum(closed(drift)) == pytest.approx(evidence(0, 320))
+
+
 def test_without_readings_a_block_says_nothing_and_with_a_third_it_has_a_median():
     blocks = np.full((3, 16), np.nan)
     blocks[1, 7] = 1.0
-    np.testing.assert_array_equal(closed(blocks), [np.nan, 0.0, np.nan])
+    np.testing.assert_array_equal(closed(blocks), [np.nan, np.nan, np.nan])
     one = train(1)
     one.config["block"] = 15
     for readings, median in ((5, 2.0), (4, np.nan)):

@@ -139,7 +139,7 @@ def learner(lengths):
                    ones * record.ambient[k])
             for k in range(length)
         ]  # fmt: skip
-    made.means, made.samples = [record.temperature], 1000
+    made.means[-1], made.samples = [record.temperature], 1000
     return made
 
 

@@ -12,7 +12,6 @@ from gateway.core.codes import Flag
 WIDTH: Final = 64
 """Columns of the strip."""
 SIGNS: Final = {Flag.UNKNOWN: "?", Flag.GOOD: "-", Flag.BAD: "#"}
-LEVELS: Final = " .:-=+*%@"
 
 
 def strip(points: Sequence[tuple[Nanos, Flag]], first: Nanos, last: Nanos) -> str:
@@ -42,21 +41,6 @@ def strip(points: Sequence[tuple[Nanos, Flag]], first: Nanos, last: Nanos) -> st
 
 def _rank(flag: Flag) -> int:
     return (Flag.GOOD, Flag.UNKNOWN, Flag.BAD).index(flag)
-
-
-def levels(points: Sequence[tuple[Nanos, float]], first: Nanos, last: Nanos) -> str:
-    """A number over time in shades, from its minimum to its maximum in the strip; blank: none."""
-    inside = [(t, v) for t, v in points if first <= t <= last and v == v]  # noqa: PLR0124
-    if not inside:
-        return " " * WIDTH
-    low = min(v for _, v in inside)
-    span = max(v for _, v in inside) - low
-    out = [" "] * WIDTH
-    for t, value in inside:
-        column = min((t - first) * WIDTH // max(last - first, 1), WIDTH - 1)
-        shade = (value - low) / span if span > 0.0 else 0.5
-        out[column] = LEVELS[1 + round(shade * (len(LEVELS) - 2))]
-    return "".join(out)
 
 
 def axis(first: Nanos, last: Nanos) -> str:

@@ -1,0 +1,122 @@
+"""A motor that turns without current: no model holds for it, neither at work nor at calibration."""
+
+import numpy as np
+import pytest
+
+from estimators.thermal.model_method import ModelMethod, Watching
+from estimators.thermal.monitor import ThermalMonitor, followed
+from estimators.thermal.record import cut_out, of_driven_motors
+from gateway.cli import main
+from tests import slow_record
+from tests.unit.test_thermal_monitor import HOUR, ILL, MOTORS, known, train
+
+__all__ = ["known"]
+OUT, IN = HOUR // 2, HOUR
+
+
+def idle(record, when, apart_k=0.0):
+    """Motor ILL without current; its winding's reading is off by so much."""
+    square, temperature = record.current_square.copy(), record.temperature.copy()
+    square[when, ILL] = 0.0
+    temperature[when, ILL, 0] += apart_k
+    return record._replace(current_square=square, temperature=temperature)
+
+
+def test_it_is_not_judged_until_some_blocks_after_it_is_driven_again(known):
+    record = idle(train(21), slice(OUT, IN), -12.0)
+    monitor, states = ThermalMonitor(known, 1.0), []
+    for _ in followed(monitor, record):
+        motors = monitor.motors
+        states.append((motors["cut_out"].copy(), motors["judged"].copy(), motors["held"].copy()))
+    out, judged, held = (np.array(part) for part in zip(*states, strict=True))
+    others = np.arange(MOTORS) != ILL
+    assert not out[:, others].any()
+    assert not held[:, others].any()
+    assert not out[:OUT, ILL].any()
+    # The mean over half a minute is down to 1/400 after six of them; the others' changes as well.
+    assert 120 <= np.flatnonzero(out[:, ILL])[0] - OUT <= 300
+    assert out[OUT + 300 : IN, ILL].all()
+    assert not judged[OUT + 300 : IN, ILL].any()
+    assert not out[IN + 5 :, ILL].any()
+    assert not held[IN:, ILL].any()
+    assert judged[-1, ILL] > 100
+
+
+def test_where_no_motor_is_driven_none_is_cut_out(known):
+    record = train(22, k=HOUR // 2)
+    record.current_square[200:] *= 1e-4
+    record.current_square[200:, ILL] = 0.0
+    monitor = ThermalMonitor(known, 1.0)
+    assert not any(monitor.motors["cut_out"].any() for _ in followed(monitor, record))
+
+
+def test_of_its_share_it_is_not_cut_out_and_below_it_is(known):
+    monitor, square = ThermalMonitor(known, 1.0), np.full(MOTORS, 4e4)
+    monitor.config["cut_out"] = 0.25
+    for share, out in ((0.25, False), (0.24, True)):
+        square[ILL] = share * 4e4
+        for _ in range(600):
+            monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+        assert monitor.motors["cut_out"].tolist() == [out and m == ILL for m in range(MOTORS)]
+    square[ILL] = np.nan
+    monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+    assert monitor.motors["cut_out"][ILL], "unknown, it stays what it was"
+
+
+def test_one_motor_is_never_cut_out(known):
+    record = idle(train(23, k=400), slice(0, None))
+    alone = record._replace(
+        temperature=record.temperature[:, [ILL]], current_square=record.current_square[:, [ILL]]
+    )
+    assert not cut_out(alone).any()
+
+
+def test_of_a_record_its_readings_are_left_out_and_the_others_are_not():
+    record = idle(train(24, k=400), slice(0, None), 5.0)
+    assert cut_out(record).tolist() == [m == ILL for m in range(MOTORS)]
+    driven = of_driven_motors(record)
+    assert np.isnan(driven.temperature[:, ILL]).all()
+    others = np.arange(MOTORS) != ILL
+    np.testing.assert_array_equal(driven.temperature[:, others], record.temperature[:, others])
+    np.testing.assert_allclose(
+        driven.current_square[:, ILL], record.current_square[:, others].mean(axis=1)
+    )
+    assert of_driven_motors(driven) is driven
+
+
+@pytest.mark.parametrize("which", [0, 2])
+def test_a_calibration_with_it_judges_the_driven_motor_as_one_without(which):
+    """Whether the run is one of those that the model is fitted to, or is held back."""
+    runs = [train(25), train(29), train(26)]
+    runs[which] = idle(runs[which], slice(0, None), -12.0)
+    fitted = ModelMethod().fit_runs(runs)
+    assert isinstance(fitted, Watching)
+    assert np.isfinite(fitted.known.noise).all()
+    assert np.isfinite(fitted.known.centre).all()
+    assert np.isfinite(fitted.known.coverage.covered[ILL]).all() == (which == 0)
+    assert not (fitted(train(27)) > 0.0).any()
+    ill = fitted.believe(train(28, kind="overheating"))
+    assert ill.statistic[-HOUR:, ILL].min() > 0.0
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_calibrate_says_which_motor_was_cut_out(tmp_path, capsys, which):
+    """In a log that is held back its readings are not used; it must be driven in another."""
+    config, logs, out = slow_record.config(tmp_path, 3), [], tmp_path / "out.toml"
+    for k in range(2):
+        logs.append(str(tmp_path / f"{k}.log"))
+        nodes = (2,) if k == which else ()
+        slow_record.write(logs[-1], config, 900, cut_out=nodes, seed=k)
+    code = main(["calibrate", *logs, "--config", str(config), "-o", str(out)])
+    said = capsys.readouterr()
+    if which == 0:
+        assert code == 2
+        assert (
+            "drive 2: it turned without current in every log that models are fitted to" in said.err
+        )
+        assert not out.exists()
+    else:
+        assert code == 0, said.err
+        assert "drive 2 turned without current in 1 of 2 runs" in said.out
+        assert "nan" not in said.out
+        assert out.exists()
