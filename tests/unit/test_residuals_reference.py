@@ -60,7 +60,7 @@ def test_residuals_equal_the_reference(seed, tested):
     for n, (reading, given) in enumerate(zip(*weather(rng, 300), strict=True)):
         k, inputs = n % BLOCK, np.empty(MOTORS, records.THERMAL_INPUT)
         inputs["current_square"], inputs["speed"], inputs["ambient"] = given
-        own["cut_out"] = np.arange(MOTORS) == n // 45
+        own["cut_out"] = np.arange(MOTORS) == n // 45 - 1
         lib.thermal_add_sample(
             config, pointer("struct thermal_motor_config", known),
             pointer("struct thermal_motor", own), MOTORS, k, pointer("double", reading.copy()),
