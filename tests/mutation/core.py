@@ -114,7 +114,9 @@ TESTS = {
         "test_what_a_sender_leaves_out_without_counting_changes_nothing",
     ),
     "gateway/core/sample_clock.c": ("tests/unit/test_sample_clock.py",),
-    "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
+    "gateway/core/rotors.c": (
+        "tests/unit/test_train_reference.py", "tests/unit/test_adhesion_reference.py",
+    ),
     "gateway/core/integrity.c": ("tests/unit/test_integrity.py",),
     "estimators/thermal/trend.c": ("tests/unit/test_thermal_trend.py",),
     **dict.fromkeys(("gateway/core/thermal.c", "gateway/core/thermal_evidence.c"), (
@@ -198,6 +200,7 @@ JUDGED = (
     "estimators/trigonometry.c",
     "gateway/core/adhesion.c",
     "gateway/core/busload.c",
+    "gateway/core/creep.c",
     "gateway/core/current_plausibility.c",
     "gateway/core/estimate.c",
     "gateway/core/flags.c",
@@ -208,6 +211,7 @@ JUDGED = (
     "gateway/core/pairing.c",
     "gateway/core/plausibility.c",
     "gateway/core/receive.c",
+    "gateway/core/rotors.c",
     "gateway/core/sample_clock.c",
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",

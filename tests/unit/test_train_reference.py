@@ -152,6 +152,9 @@ def test_any_course_of_a_train(seed, n, ticks, step):
             plain.doubt_ns[:] = now + doubt.integers(0, 30, n)
             rotors["unreliable_until_ns"] = plain.doubt_ns
             plain.way[:] = rotors["way"] = doubt.choice([0, 1, 1, 1, -1], n)
+            # From these times on a diameter is known to a percent, or known.
+            one = doubt.integers(n)
+            plain.learnt_s[one] = rotors["learnt_s"][one] = doubt.choice([0.5, 3.0])
         reference.assess_train(measured, commanded, sent, flag, now, TICK_S, told, plain)
         assess_train(*again[:4], now, again[4], rotors)
         same(rotors, plain)
