@@ -182,6 +182,7 @@ def after(readings: Iterable[Temperatures], t_s: float) -> list[Temperatures]:
 def learn(readings: Sequence[Temperatures], fitted: Sequence[Sequence[str]]) -> Calibration:
     """A calibration as `traction-gateway calibrate` makes it. Raises ConfigError."""
     learner = Learner(tuple(range(1, len(fitted) + 1)), Thermal().window_s)
+    learner.begin()
     judge(readings, fitted, learner=learner)
     return learner.finish(MARGIN)
 
