@@ -18,7 +18,7 @@ from estimators.thermal import coverage, hypotheses, model
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
 from estimators.thermal.model import inputs_of, predict, simulate
 from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor, followed
-from estimators.thermal.record import Record, of_driven_motors, spacing, split
+from estimators.thermal.record import Record, mean_of_known, of_driven_motors, spacing, split
 from estimators.thermal.system_identification import first_readings, identify
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ def _blocks(known: Known, run: Record) -> _Blocks:
     middle_k, off_k, inputs = (
         np.array([block[name] for block in blocks]) for name in ("middle_k", "off_k", "inputs")
     )
-    return _Blocks(middle_k, off_k, inputs, _mean(np.concatenate(spread, axis=2), axis=2))
+    return _Blocks(middle_k, off_k, inputs, mean_of_known(np.concatenate(spread, axis=2), axis=2))
 
 
 def learn(parameters: Array, runs: Sequence[Record]) -> Known:
@@ -118,20 +118,12 @@ def learn(parameters: Array, runs: Sequence[Record]) -> Known:
     every = [_blocks(known, run) for run in runs]
     last = every[-1]
     noise = np.sqrt(last.variance)
-    noise = np.where(np.isfinite(noise), noise, _mean(noise, axis=0))
-    centre = np.nan_to_num(_mean([_median(run.middle_k) for run in every], axis=0))
-    beside = last.off_k - np.nan_to_num(_mean([_median(run.off_k) for run in every], axis=0))
+    noise = np.where(np.isfinite(noise), noise, mean_of_known(noise))
+    centre = np.nan_to_num(mean_of_known([_median(run.middle_k) for run in every]))
+    beside = last.off_k - np.nan_to_num(mean_of_known([_median(run.off_k) for run in every]))
     known = _likeliest(known._replace(centre=centre, noise=noise), last.inputs, beside, dt)
     found = coverage.measure(ThermalMonitor(known, dt), beside, last.inputs)
     return known._replace(coverage=found)
-
-
-def _mean(values: Array | Sequence[Array], axis: int) -> Array:
-    """Mean of the finite values along an axis; NaN where there are none."""
-    known = np.isfinite(values)
-    count = known.sum(axis=axis)
-    total = np.where(known, values, 0.0).sum(axis=axis)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def _median(values: Array) -> Array:

@@ -39,6 +39,14 @@ class Record(NamedTuple):
         return int(self.temperature.shape[1])
 
 
+def mean_of_known(values: Array | Sequence[Array], axis: int = 0) -> Array:
+    """Mean of the finite values along an axis; NaN where there are none."""
+    known = np.isfinite(values)
+    count = known.sum(axis=axis)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
 def cut_out(record: Record) -> NDArray[np.bool_]:
     """(M,) motors that turned without current for the whole record."""
     square = record.current_square.mean(axis=0)

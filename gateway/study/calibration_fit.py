@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from estimators.thermal.model import inputs_of, predict
 from estimators.thermal.monitor import Coverage, Known
-from estimators.thermal.record import POINTS, Record
+from estimators.thermal.record import POINTS, Record, mean_of_known
 from estimators.thermal.system_identification import first_readings
 
 Array = NDArray[np.float64]
@@ -51,13 +51,13 @@ def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
     off = held_back.temperature - modelled
     half = len(off) // 2
     with np.errstate(all="ignore"):
-        centre = _mean(off[:half])
-        sigma: Array = np.sqrt(_mean((off[:half] - centre) ** 2))
-        error: Array = np.sqrt(_mean(off**2))
+        centre = mean_of_known(off[:half])
+        sigma: Array = np.sqrt(mean_of_known((off[:half] - centre) ** 2))
+        error: Array = np.sqrt(mean_of_known(off**2))
         later = np.where(
             np.isfinite(off[half:]), np.abs(off[half:] - centre) <= 2.0 * sigma, np.nan
         )
-        inside = _mean(later)
+        inside = mean_of_known(later)
     t_s = (held_back.at * held_back.step_s).astype(np.float64)
     return [
         Fit(
@@ -66,13 +66,6 @@ def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
         )
         for j, node in enumerate(nodes)
     ]  # fmt: skip
-
-
-def _mean(values: Array) -> Array:
-    """Mean of the finite values along the first axis; NaN where there are none."""
-    known = np.isfinite(values)
-    mean: Array = np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)
-    return mean
 
 
 def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
