@@ -1,10 +1,10 @@
 """The compiled core built in another way, and tests that run on it.
 
     python -m tests.core_variants build sanitize | coverage | libfuzzer
-    python -m tests.core_variants sanitize [pytest arguments]
-    python -m tests.core_variants coverage [pytest arguments]
+    python -m tests.core_variants sanitize | coverage | unfit [pytest arguments]
 
 `sanitize`: AddressSanitizer and UndefinedBehaviorSanitizer; the first finding ends the run.
+`unfit`: the tests that cannot run so, on the core as it is delivered.
 `coverage`: fails unless the core's own tests run every line and branch of it (gcov). Both need gcc
 and use the core that `build` has left; without one they build it.
 `tests.fuzzing` has a third one built: libFuzzer's instruments and the same sanitizers, by the clang
@@ -83,12 +83,14 @@ HOSTILE = ("tests/unit/test_receive_reference.py", "tests/unit/test_left_out_sam
 """Of them those that give the core any numbers, and whole logs: for the sanitizers in CI. All tests
 run under them in `make test-all`."""
 UNFIT = (
+    "tests/mutation", "tests/web",
     "tests/unit/test_help_examples.py::test_they_run",
     "tests/unit/test_drivers_scheduling.py::"
     "test_what_was_given_from_outside_is_used_and_not_asked_for",
-)
-"""Tests that cannot run under AddressSanitizer, and do not need it: user-mode-linux ends with the
-library preloaded, and a program with it locks no memory."""
+)  # fmt: skip
+"""Tests that cannot run under AddressSanitizer, and do not need it: mutants build cores of their
+own, the browser and user-mode-linux end with the library preloaded, and a program with it locks no
+memory."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {
     "sanitize": f"-g {SANITIZERS}", "coverage": "-O0 --coverage",
@@ -200,6 +202,10 @@ if __name__ == "__main__":
         sys.exit(sanitize(more))
     if what == "coverage":
         sys.exit(coverage(more))
+    if what == "unfit":
+        sys.exit(
+            subprocess.run([sys.executable, "-m", "pytest", *UNFIT, *more], check=False).returncode
+        )
     if what == "build":
         build(*more)
         sys.exit(0)
