@@ -68,7 +68,7 @@ class Stations:
             self.adhesion.rotors,
         )  # fmt: skip
         self.thermal = TemperatureMonitor(n, 100 * MS, 60.0, None, tuple(range(n)))
-        self.thermal.wire(where, [gateway.config.loop.period_ns * 30] * n)
+        self.thermal.wire(where, [gateway.config.loop.period_ns * 30] * n, [25.0])
         self.flags = Flags(rules, n, self.adhesion.detector.code, gateway.start_ns)
         self.spent: dict[str, list[float]] = {}
 

@@ -1,5 +1,6 @@
 """A record of slow messages alone: motors that warm and cool with a changing duty."""
 
+import math
 import re
 
 import numpy as np
@@ -52,8 +53,13 @@ def temperatures(current, speed, scale):
     return out
 
 
-def write(path, config_path, seconds, *, cycle_ms=1000, without=(), cut_out=(), seed=1):
-    """A log. without: (node, signal) that are not available in it; cut_out: nodes, no current."""
+def write(
+    path, config_path, seconds, *, cycle_ms=1000, without=(), cut_out=(), until=math.inf, seed=1
+):
+    """A log. without: (node, signal) that are not available in it.
+
+    cut_out: nodes without current, until so many seconds from the start.
+    """
     settings = load(config_path)
     codec = bind(settings.dbc_path, settings.nodes)
     rng = np.random.default_rng(seed)
@@ -61,7 +67,7 @@ def write(path, config_path, seconds, *, cycle_ms=1000, without=(), cut_out=(), 
     each = 1000 // cycle_ms
     frames = []
     for node in settings.nodes:
-        current = driven * (node not in cut_out)
+        current = driven * ((node not in cut_out) | (np.arange(len(driven)) >= until))
         warm = temperatures(current, speed, 1.0 + 0.03 * node)
         rows = np.repeat(warm, each, axis=0) + rng.normal(0.0, 0.15, (seconds * each, 4))
         columns = {

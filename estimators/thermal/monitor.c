@@ -13,6 +13,7 @@
 #include "estimators/elementary.h"
 #include "estimators/numbers.h"
 #include "estimators/order_statistics.h"
+#include "estimators/thermal/cut_out.h"
 #include "estimators/thermal/imm.h"
 #include "estimators/thermal/imm_predict.h"
 #include "estimators/thermal/model.h"
@@ -30,8 +31,6 @@ static const double SURE = 1.0 - 1e-6; /* probability that a sensor that has ste
 static const double LEAST = 1e-300;    /* least sum of probabilities that divides */
 /* A reported fault ends below the first probability; a reported probability is above one half. */
 static const double CLEAR = 0.3, HALF = 0.5;
-static const double CUT_OUT_S = 30.0; /* s, over which currents are averaged */
-static const double DRIVEN = 0.01; /* share of the calibration's mean squared current: 10 % of it */
 /* Bursts in a row that may be one departure; a sensor that is away for longer has a new level. */
 static const double MOST_BURSTS = 4.0;
 
@@ -279,34 +278,12 @@ void thermal_monitor_judge(struct thermal_monitor *all, int count)
     }
 }
 
-/* Find the motors that are cut out: the others are driven, and these turn without current. Where
- * no motor is driven, all stay what they were. */
-static void find_cut_out(struct thermal_monitor *all, const struct thermal_input *input)
-{
-    const struct thermal_config *config = all->config;
-    const double share = smaller(config->dt_s / CUT_OUT_S, 1.0);
-    double *squares = all->workspace;
-    int n = 0;
-    for (int m = 0; m < all->motor_count; m++) {
-        struct thermal_motor *motor = &all->motors[m];
-        if (!isfinite(input[m].current_square))
-            continue;
-        motor->current_square += share * (input[m].current_square - motor->current_square);
-        squares[n++] = motor->current_square;
-    }
-    const double middle = n > 0 ? median_in_place(squares, n) : 0.0;
-    if (!(middle > DRIVEN * config->duty_square))
-        return;
-    for (int m = 0; m < all->motor_count; m++)
-        all->motors[m].cut_out = all->motors[m].current_square < config->cut_out * middle;
-}
-
 void thermal_monitor_add_sample(struct thermal_monitor *all, const double *reading,
                                 const struct thermal_input *input)
 {
-    find_cut_out(all, input);
-    thermal_add_sample(all->config, all->known, all->motors, all->motor_count, all->position,
-                       reading, input);
+    find_cut_out(&all->config->cut_out, input, all->motor_count, all->currents);
+    thermal_add_sample(all->config, all->known, all->currents, all->motors, all->motor_count,
+                       all->position, reading, input);
     all->position += 1;
     if (all->position >= all->config->block)
         thermal_monitor_close_block(all);

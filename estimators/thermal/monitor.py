@@ -109,6 +109,10 @@ STEADY_S: Final = 100.0
 detector would take heat for a step. It is off then, and the filters decide alone."""
 GAP_S: Final = 60.0
 """Longest time without inputs: after it, a motor starts anew."""
+CUT_OUT_S: Final = 30.0
+"""Time over which a motor's current is averaged to find whether it is cut out."""
+DRIVEN: Final = 0.01
+"""Motors are driven from this share of the calibration's mean I^2: a tenth of its current."""
 MOST_SAMPLES: Final[int] = lib.THERMAL_BLOCK_MAX
 """Most samples of a block, and of the step detector's window."""
 
@@ -174,6 +178,8 @@ class ThermalMonitor(Addressed):
         self.known_motors = _motors(known, self.block)
         self.motors = np.zeros(len(known.parameters), records.THERMAL_MOTOR)
         self.motors["trusted"] = True
+        self.currents = np.zeros(len(self.motors), records.MOTOR_CURRENT)
+        """(M,) of `struct motor_current`."""
         self.record = np.zeros(1, records.THERMAL_MONITOR)
         self.record["motor_count"] = len(self.motors)
         self._workspace = np.zeros(8 * len(self.motors))
@@ -186,7 +192,7 @@ class ThermalMonitor(Addressed):
         """See `Addressed`."""
         for name, array in (
             ("config", self.config), ("known", self.known_motors), ("motors", self.motors),
-            ("workspace", self._workspace),
+            ("currents", self.currents), ("workspace", self._workspace),
         ):  # fmt: skip
             self.record[name] = array.ctypes.data
         self.pointer = pointer("struct thermal_monitor", self.record)
@@ -322,7 +328,7 @@ def _config(known: Known, dt_s: float) -> Records:
     out["dt_s"], out["gap_s"], out["block"] = dt_s, GAP_S, block
     speed, square, cooling, copper = known.duty
     out["duty_speed"], out["duty_cooling"], out["duty_copper"] = speed, cooling, copper
-    out["duty_square"], out["cut_out"] = square, CUT_OUT
+    set_cut_out(out["cut_out"], DRIVEN * square, dt_s)
     settles = -np.linalg.inv(model.system_matrix(known.parameters.mean(axis=0), square, speed))
     out["settles_k"] = settles[list(model.MEASURED)].max(axis=0)
     out["loose_share"], out["good_share"] = LOOSE_SHARE, GOOD_SHARE
@@ -331,6 +337,15 @@ def _config(known: Known, dt_s: float) -> Records:
     out["learn_per_s"] = 1.0 / LEARNT_S
     out["raise_probability"] = known.raise_probability
     return out
+
+
+def set_cut_out(out: Records, driven_square: float, dt_s: float) -> None:
+    """Set a `struct cut_out_config`: motors are driven from a mean I^2 of `driven_square` A^2.
+
+    dt_s: time from one sample of the currents to the next.
+    """
+    out["share"], out["driven_square"] = CUT_OUT, driven_square
+    out["weight"] = min(dt_s / CUT_OUT_S, 1.0)
 
 
 def _motors(known: Known, block: int) -> Records:

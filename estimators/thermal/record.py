@@ -13,7 +13,7 @@ Ints = NDArray[np.int64]
 
 POINTS: Final = ("stator", "drive end", "non-drive end")
 CUT_OUT: Final = 1.0 / 400.0
-"""A motor with less than this share of the others' mean I^2 is cut out: noise of its sensors."""
+"""A motor with less than this share of the largest mean I^2 is cut out: noise of its sensors."""
 MEMORIES_S: Final = (300.0, 3600.0)
 """Time constants of the averages in `features`: a winding's, and a whole motor's."""
 
@@ -50,7 +50,7 @@ def mean_of_known(values: Array | Sequence[Array], axis: int = 0) -> Array:
 def cut_out(record: Record) -> NDArray[np.bool_]:
     """(M,) motors that turned without current for the whole record."""
     square = record.current_square.mean(axis=0)
-    return np.asarray(square < CUT_OUT * np.median(square))
+    return np.asarray(square < CUT_OUT * square.max())
 
 
 def of_driven_motors(record: Record) -> Record:

@@ -19,11 +19,8 @@ static const double NO_EXTRA[L] = {0.0};
 
 void thermal_motor_reset(const struct thermal_config *config, struct thermal_motor *motor)
 {
-    *motor = (struct thermal_motor){.unknown_s = motor->unknown_s,
-                                    .current_square = motor->current_square,
-                                    .trusted = motor->trusted,
-                                    .lost = motor->lost,
-                                    .cut_out = motor->cut_out};
+    *motor = (struct thermal_motor){
+        .unknown_s = motor->unknown_s, .trusted = motor->trusted, .lost = motor->lost};
     imm_start(&config->imm, &motor->imm);
     for (int q = 0; q < P; q++) {
         step_reset(&motor->step[q]);
@@ -122,16 +119,17 @@ static void widen_core(struct thermal_motor *motor)
 }
 
 static void add_sample(const struct thermal_config *config,
-                       const struct thermal_motor_config *known, struct thermal_motor *motor, int k,
-                       const double *reading, const struct thermal_input *u)
+                       const struct thermal_motor_config *known, int cut_out,
+                       struct thermal_motor *motor, int k, const double *reading,
+                       const struct thermal_input *u)
 {
     const struct thermal_parameters *p = &known->model;
     double since = config->dt_s + motor->unknown_s; /* in a gap the motor has continued to run */
     motor->unknown_s = is_known(u) ? 0.0 : since;
-    motor->lost = motor->cut_out || (motor->started && motor->unknown_s > config->gap_s);
+    motor->lost = cut_out || (motor->started && motor->unknown_s > config->gap_s);
     for (int q = 0; q < P; q++)
         motor->block[q][k] = motor->raw[q][k] = NAN;
-    if (motor->cut_out)
+    if (cut_out)
         return;
     if (is_known(u) && !motor->started) {
         double centred[P];
@@ -153,11 +151,13 @@ static void add_sample(const struct thermal_config *config,
 }
 
 void thermal_add_sample(const struct thermal_config *config,
-                        const struct thermal_motor_config *known, struct thermal_motor *motor,
+                        const struct thermal_motor_config *known,
+                        const struct motor_current *current, struct thermal_motor *motor,
                         int motors, int k, const double *reading, const struct thermal_input *input)
 {
     for (int m = 0; m < motors; m++) {
-        add_sample(config, &known[m], &motor[m], k, reading + (int64_t)m * P, &input[m]);
+        add_sample(config, &known[m], current[m].cut_out, &motor[m], k, reading + (int64_t)m * P,
+                   &input[m]);
         if (motor[m].lost)
             thermal_motor_reset(config, &motor[m]);
     }

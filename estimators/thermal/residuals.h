@@ -16,7 +16,8 @@ int thermal_motor_start(const struct thermal_parameters *p, const struct thermal
  * (motors), NaN without. A motor that is cut out, or whose inputs were unknown for too long, is reset
  * and is `lost`. */
 void thermal_add_sample(const struct thermal_config *config,
-                        const struct thermal_motor_config *known, struct thermal_motor *motor,
+                        const struct thermal_motor_config *known,
+                        const struct motor_current *current, struct thermal_motor *motor,
                         int motors, int k, const double *reading,
                         const struct thermal_input *input);
 

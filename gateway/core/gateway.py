@@ -98,7 +98,8 @@ class Gateway(Addressed):
         self.inputs = inputs.InputMonitor(self.inbox.receiver, places.channels)
         self.calibration = cells = calibration.of(config)
         self.thermal = _thermal(config, drives, cells)
-        self.thermal.wire(places, [_limit_ns(d, "Temperatures") for d in drives])
+        limits_ns = [_limit_ns(d, "Temperatures") for d in drives]
+        self.thermal.wire(places, limits_ns, [m.I_rated for m in motors])
         by = _rules(config, _slowest(drives))
         self.adhesion = AdhesionMonitor(config.adhesion, motors, by, tick_ns)
         self.motion = MotionMonitor(

@@ -523,6 +523,19 @@ struct thermal_sums {
     double count;          /* number of samples */
 };
 
+/* Which motors are cut out: they turn without current while another is driven; constant. */
+struct cut_out_config {
+    double share; /* share of the largest mean squared current: a motor with less is cut out */
+    double driven_square; /* A^2, least mean squared current of a motor that is driven */
+    double weight;        /* weight of a sample in the means */
+};
+
+/* Current of one motor; all zero when nothing is known. */
+struct motor_current {
+    double square;   /* A^2, mean of the squared amplitude over the last half minute */
+    uint8_t cut_out; /* 1: the motor turns without current */
+};
+
 /* Bursts of one sensor, which may reach into the next block. */
 struct thermal_burst {
     double level_k; /* K, level from which they depart; NaN: not known */
@@ -545,7 +558,6 @@ struct thermal_config {
     struct step_config steps;
     double dt_s;         /* s, time from one sample to the next */
     double gap_s;        /* s without inputs after which a motor's model starts again */
-    double duty_square;  /* A^2, mean of the current's squared amplitude in the fault-free runs */
     double duty_speed;   /* rad/s, mean speed in them */
     double duty_cooling; /* K/s, mean cooling of the frame */
     double duty_copper;  /* K/s, mean heating of the winding */
@@ -560,15 +572,14 @@ struct thermal_config {
     double loose_end_per_s;   /* 1/s, rate at which a loose connector is mended */
     double learn_per_s;       /* 1/s, rate at which a fault-free motor's baseline is learnt */
     double raise_probability; /* probability above which a fault is reported: at least 0.9 */
-    double cut_out; /* share of the others' mean squared current below which a motor is cut out */
-    int32_t block;  /* samples of a block, at least 1 */
+    struct cut_out_config cut_out;
+    int32_t block; /* samples of a block, at least 1 */
 };
 
 /* State of one motor; `thermal_motor_reset` sets it to nothing known. */
 struct thermal_motor {
     double lumps[THERMAL_LUMPS]; /* degC, temperatures by the open-loop model (enum thermal_lump) */
     double unknown_s;            /* s since its inputs were last known */
-    double current_square;       /* A^2, mean over the last half minute */
     struct step_state step[THERMAL_POINTS];           /* step detector of each sensor */
     struct thermal_burst burst[THERMAL_POINTS];       /* end of each sensor's last block */
     double window[THERMAL_POINTS][THERMAL_BLOCK_MAX]; /* K, latest residuals, the newest last */
@@ -592,7 +603,6 @@ struct thermal_motor {
     uint8_t lost;    /* 1: its inputs were unknown for too long: it has to start again */
     uint8_t held;    /* 1: a fault is reported */
     uint8_t trusted; /* 1: in the last block other motors were compared with it */
-    uint8_t cut_out; /* 1: it turns without current, for which it has no model */
 };
 
 #define HYPOTHESIS_SIZES  11  /* sizes of a fault that are tested */
@@ -1177,6 +1187,7 @@ struct thermal_monitor {
     const struct thermal_config *config;
     const struct thermal_motor_config *known; /* (motor_count) constants of the motors */
     struct thermal_motor *motors;             /* (motor_count) states of the motors */
+    struct motor_current *currents;           /* (motor_count) which of them are driven */
     double *workspace;                        /* 8 numbers per motor */
     int32_t motor_count;
     int32_t position; /* number of samples in the current block */
@@ -1230,6 +1241,7 @@ struct motor_temperatures {
     struct thermal_evidence evidence; /* evidence of the last judgement */
     int64_t valid_until_ns;           /* `evidence` stands until then; NO_TIME: to be judged anew */
     uint8_t fresh;                    /* 1: its readings are within their age limit */
+    uint8_t left_out; /* 1: it was cut out, and is colder than the driven ones: not compared */
 };
 
 /* Temperatures averaged over a window, (drives, THERMAL_POINTS), and their MAISD. */
@@ -1246,6 +1258,7 @@ struct temperature_window {
     uint8_t *valid;    /* 1: `value` is valid now */
     double *mean;      /* over the window, degC */
     uint8_t *known;    /* 1: `mean` is known, and the sensor is valid now */
+    uint8_t *compared; /* 1: it is, and the motor is compared with the others */
     double *centred;   /* K, (`mean` - `offset_k`) / `gain` */
     double *deviation; /* K above the others' median, the smaller of two centrings; NaN: none */
     double spread[THERMAL_POINTS]; /* K, MAISD; NaN: fewer than two motors */
@@ -1261,12 +1274,13 @@ struct temperature_monitor {
     int64_t period_ns; /* cycle time of the readings */
     int32_t drive_count;
     int32_t cycles_per_second; /* number of readings in one sample of the model */
-    double named;        /* share of a fault's probability from which heat, or a sensor, is named */
-    uint8_t method;      /* enum thermal_method */
-    uint8_t sum_seconds; /* 1: averages over seconds are formed; always with a model */
+    double named;   /* share of a fault's probability from which heat, or a sensor, is named */
+    uint8_t method; /* enum thermal_method */
     struct temperature_drive *sensors; /* (drive_count) */
     struct motor_temperatures *motors; /* (drive_count) */
     struct thermal_monitor *model;     /* NULL: no model */
+    struct motor_current *currents;    /* (drive_count), those of the model if there is one */
+    struct cut_out_config cut_out;     /* without a model */
     struct temperature_window window;
     /* state */
     int64_t next_ns; /* stamp when the next temperature cycle is due; NO_TIME: no reading yet */

@@ -7,18 +7,17 @@
 #include <math.h>
 
 #include "dbc/rounding.h"
-#include "estimators/maisd.h"
 #include "estimators/thermal/monitor.h"
 #include "estimators/thermal/trend.h"
 #include "gateway/core/inputs.h"
 #include "gateway/core/temperature.h"
+#include "gateway/core/temperature_window.h"
 #include "gateway/core/thermal_evidence.h"
 
 enum { P = THERMAL_POINTS };
 enum { AMBIENT_POINT = P }; /* gateway/core/channel.py: the sensors' columns, then this one */
 
 static const double MOST_TENTHS = 1e15; /* a larger value, tenths of a degree, is not converted */
-static const double FAR_K = 40.0; /* K above the others: no motor beside sound ones starts there */
 
 /* ---- readings */
 
@@ -126,58 +125,6 @@ static int add_cycle(struct temperature_monitor *all, const struct receiver *rec
     return 1;
 }
 
-/* ---- window averages */
-
-/* Deviation that two ways of centring agree on: the smaller one, 0 if they differ in sign. */
-static double smaller_deviation(double a, double b)
-{
-    if ((a > 0.0) != (b > 0.0))
-        return isnan(a) ? a : 0.0;
-    return fabs(b) < fabs(a) ? b : a;
-}
-
-/* Differences of healthy motors come from their places and their cooling, and take hours to
- * develop. After a hot restart, or a night, motors are equally warm, and their readings are equal.
- * A sound motor is anywhere in between. */
-static void compare_motors(struct temperature_window *w, int drives)
-{
-    maisd_compare(w->mean, w->known, drives, P, w->ranked, w->spread, w->uniform);
-    for (int c = 0; c < drives * P; c++) {
-        const double apart = w->mean[c] - w->offset_k[c];
-        /* A sensor that did not change while the fleet was learnt has gain 0. */
-        w->centred[c] = w->gain[c] != 0.0 ? apart / w->gain[c] : apart * INFINITY;
-    }
-    maisd_compare(w->centred, w->known, drives, P, w->ranked, w->spread, w->deviation);
-    for (int c = 0; c < drives * P; c++)
-        w->deviation[c] = smaller_deviation(w->deviation[c], w->uniform[c]);
-}
-
-/* Compute MAISD of the window, with the newest values in it. */
-static void advance_window(struct temperature_window *w, int drives, int64_t cycle)
-{
-    const int cells = drives * P;
-    maisd_push(w->ring, w->samples, cells, cycle, w->value, w->valid);
-    maisd_average(w->ring, w->samples, cells, w->mean, w->number, w->known);
-    for (int c = 0; c < cells; c++)
-        w->known[c] = w->known[c] && w->valid[c];
-    compare_motors(w, drives);
-}
-
-/* A sensor that has been near the others' measures a motor: a later rise is heat. */
-static void note_near(struct temperature_monitor *all)
-{
-    struct temperature_window *w = &all->window;
-    int fresh = 0;
-    for (int c = 0; c < all->drive_count * P; c++)
-        fresh |= w->valid[c] && !all->sensors[c / P].sensor[c % P].near;
-    if (!fresh)
-        return;
-    double spread[P];
-    maisd_compare(w->value, w->valid, all->drive_count, P, w->ranked, spread, w->uniform);
-    for (int c = 0; c < all->drive_count * P; c++)
-        all->sensors[c / P].sensor[c % P].near |= w->uniform[c] < FAR_K;
-}
-
 /* ---- one tick */
 
 /* 1 if a temperature cycle is due; then sets the time of the next one. */
@@ -200,20 +147,20 @@ static void hold_back_steps(struct temperature_monitor *all)
                 all->window.value[j * P + k] = NAN;
 }
 
-/* Advance by one temperature cycle; 1 if it completed a second. */
-static int advance_cycle(struct temperature_monitor *all, const struct receiver *receiver,
-                         int64_t now_ns)
+static void advance_cycle(struct temperature_monitor *all, const struct receiver *receiver,
+                          int64_t now_ns)
 {
     for (int j = 0; j < all->drive_count; j++)
         all->motors[j].valid_until_ns = NO_TIME;
     temperature_values(all->sensors, all->drive_count, now_ns, all->window.value,
                        all->window.valid);
-    const int complete = all->sum_seconds && add_cycle(all, receiver, now_ns);
+    all->second_complete = (uint8_t)add_cycle(all, receiver, now_ns);
+    if (all->second_complete)
+        add_thermal_second(all);
     note_near(all);
     hold_back_steps(all);
-    advance_window(&all->window, all->drive_count, all->cycles);
+    advance_window(all);
     all->cycles += 1;
-    return complete;
 }
 
 void advance_temperatures(struct temperature_monitor *all, const struct receiver *receiver,
@@ -224,17 +171,12 @@ void advance_temperatures(struct temperature_monitor *all, const struct receiver
         if (all->next_ns == NO_TIME)
             all->next_ns = now_ns;
     }
-    int complete = 0;
     if (cycle_due(all, now_ns)) {
         all->dirty = 1;
-        complete = advance_cycle(all, receiver, now_ns);
-        all->second_complete = (uint8_t)complete;
+        advance_cycle(all, receiver, now_ns);
     }
-    if (!all->model)
-        return;
-    if (complete)
-        add_thermal_second(all);
-    thermal_monitor_judge(all->model, 1);
+    if (all->model)
+        thermal_monitor_judge(all->model, 1);
 }
 
 /* ---- evidence */
@@ -305,6 +247,7 @@ void temperatures_reset(struct temperature_monitor *all)
     all->dirty = 1;
     for (int j = 0; j < all->drive_count; j++) {
         struct motor_temperatures *motor = &all->motors[j];
+        all->currents[j] = (struct motor_current){0};
         *motor = (struct motor_temperatures){
             .age_limit_ns = motor->age_limit_ns,
             .status = motor->status,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
 from dbc.records import (
+    MOTOR_CURRENT,
     MOTOR_TEMPERATURES,
     TEMPERATURE_MONITOR,
     THERMAL_INPUT,
@@ -23,7 +24,7 @@ from dbc.records import (
 from estimators import maisd
 from estimators.thermal import trend
 from estimators.thermal.hypotheses import NAMED
-from estimators.thermal.monitor import ThermalMonitor
+from estimators.thermal.monitor import ThermalMonitor, set_cut_out
 from gateway.core.inputs import NONE, Places
 from gateway.core.temperature import SensorMonitor
 from gateway.core.view import Wear
@@ -36,6 +37,8 @@ AMBIENT: Final = len(POINTS)
 """Index of the ambient temperature in a reading."""
 SAMPLE_NS: Final = SECOND
 """Readings that come faster are averaged over this time."""
+DRIVEN_SHARE: Final = 0.03
+"""Share of the rated current from which motors without a thermal model are driven."""
 NO_MODEL: Final = (
     "no thermal model of every configured motor: calibrate with logs that have Status and Motion "
     'and a changing duty, or set [thermal] method = "maisd"'
@@ -45,7 +48,8 @@ NO_MODEL: Final = (
 class Window(NamedTuple):
     """(N, P) of `struct temperature_window`: last values and window averages, degC; deviation K.
 
-    valid: the last value is valid now; known: the average is; uniform: workspace.
+    valid: the last value is valid now; known: the average is; compared: its motor is compared with
+    the others; uniform: workspace.
     """
 
     gain: Array
@@ -54,6 +58,7 @@ class Window(NamedTuple):
     valid: NDArray[np.bool_]
     mean: Array
     known: NDArray[np.bool_]
+    compared: NDArray[np.bool_]
     centred: Array
     deviation: Array
     uniform: Array
@@ -102,7 +107,11 @@ class TemperatureMonitor(Addressed):
         self.record = np.zeros(1, TEMPERATURE_MONITOR)
         self.record["period_ns"], self.record["cycles_per_second"] = period_ns, every
         self.record["drive_count"], self.record["method"] = motors, method
-        self.record["named"], self.record["sum_seconds"] = NAMED, self.model is not None
+        self.record["named"] = NAMED
+        self.currents = (
+            np.zeros(motors, MOTOR_CURRENT) if self.model is None else self.model.currents
+        )
+        """(N,) of `struct motor_current`."""
         self._ring = maisd.window(max(1, round(window_s * SECOND / period_ns)), motors, len(POINTS))
         self.window = _window(motors, calibration, nodes)
         self._windows = self.record["window"]
@@ -121,6 +130,7 @@ class TemperatureMonitor(Addressed):
         self.record["model"] = 0 if self.model is None else self.model.record.ctypes.data
         self.record["reading"] = self._reading.ctypes.data
         self.record["input"] = self._input.ctypes.data
+        self.record["currents"] = self.currents.ctypes.data
         self._windows = self.record["window"]
         self._windows["ring"], self._windows["ranked"] = (
             self._ring.ctypes.data, self._ranked.ctypes.data,
@@ -129,19 +139,15 @@ class TemperatureMonitor(Addressed):
             self._windows[name] = array.ctypes.data
         self.pointer = ffi.from_buffer("struct temperature_monitor *", self.record)
 
-    def wire(self, places: Places, limit_ns: Sequence[Nanos]) -> None:
-        """Note the channels of the model's inputs, and the age limit of each drive's readings."""
+    def wire(self, places: Places, limit_ns: Sequence[Nanos], rated_a: Sequence[float]) -> None:
+        """Note the channels of currents and speeds, and the age limit of each drive's readings.
+
+        rated_a: rated current of each motor, amplitude.
+        """
         self.motors["status"], self.motors["motion"] = places.status, places.motion
         self.motors["age_limit_ns"] = limit_ns
-
-    @property
-    def learning(self) -> bool:
-        """Whether seconds are averaged without a model, so that one can be learnt."""
-        return self.model is None and bool(self.record["sum_seconds"][0])
-
-    @learning.setter
-    def learning(self, wanted: bool) -> None:
-        self.record["sum_seconds"] = wanted or self.model is not None
+        driven_square = (DRIVEN_SHARE * float(np.median(rated_a))) ** 2
+        set_cut_out(self.record["cut_out"], driven_square, self.dt_s)
 
     @property
     def cycles(self) -> int:
@@ -177,9 +183,9 @@ def _window(motors: int, calibration: Calibration | None, nodes: tuple[int, ...]
             np.ascontiguousarray(part, dtype=np.float64) for part in calibration.centring(nodes)
         )
     value, mean, centred, uniform = np.zeros((4, *shape))
-    valid, known = np.zeros((2, *shape), dtype=np.bool_)
+    valid, known, compared = np.zeros((3, *shape), dtype=np.bool_)
     number = np.zeros(shape, dtype=np.int64)
     return Window(
-        gain, offset, value, valid, mean, known, centred, np.full(shape, np.nan),
+        gain, offset, value, valid, mean, known, compared, centred, np.full(shape, np.nan),
         uniform, number,
     )  # fmt: skip

@@ -7,6 +7,7 @@
 
 #include <math.h>
 
+#include "estimators/thermal/cut_out.h"
 #include "estimators/thermal/hypotheses.h"
 #include "estimators/thermal/monitor.h"
 #include "estimators/thermal/trend.h"
@@ -66,6 +67,10 @@ void add_thermal_second(struct temperature_monitor *all)
         all->input[j] = (struct thermal_input){.current_square = mean[THERMAL_CURRENT_SQUARE],
                                                .speed = mean[THERMAL_SPEED],
                                                .ambient = mean[THERMAL_AMBIENT]};
+    }
+    if (!model) {
+        find_cut_out(&all->cut_out, all->input, all->drive_count, all->currents);
+        return;
     }
     thermal_monitor_add_sample(model, all->reading, all->input);
     const double block_h = model->config->block * model->config->dt_s / 3600.0;
@@ -130,7 +135,7 @@ static void judge_by_model(const struct temperature_monitor *all, int j,
     const struct thermal_motor *model = &all->model->motors[j];
     if (model->unknown_s > BLIND_S) {
         out->reason = REASON_STALE;
-    } else if (all->model->known[j].unexplained || model->cut_out) {
+    } else if (all->model->known[j].unexplained || all->currents[j].cut_out) {
         out->reason = REASON_CONFIG;
     } else if (model->judged == 0) {
         out->reason = REASON_STARTING;
@@ -167,7 +172,7 @@ static int has_moved(const struct temperature_monitor *all, int j, int k)
 {
     int others = 0;
     for (int i = 0; i < all->drive_count; i++)
-        others += i != j && all->window.known[i * P + k] && all->sensors[i].sensor[k].moved;
+        others += i != j && all->window.compared[i * P + k] && all->sensors[i].sensor[k].moved;
     return all->sensors[j].sensor[k].moved && others > 0;
 }
 
@@ -185,6 +190,8 @@ static int may_be_a_sensor(const struct temperature_monitor *all, int j, unsigne
 static uint8_t compare_reason(const struct temperature_monitor *all, int j)
 {
     uint8_t reason = REASON_NONE;
+    if (all->motors[j].left_out)
+        return all->currents[j].cut_out ? REASON_CONFIG : REASON_STARTING;
     for (int k = 0; k < P; k++) {
         if (!all->sensors[j].sensor[k].configured)
             continue;

@@ -14,7 +14,10 @@ CURES: Final = {
         "wrong channel, DBC or motor? run `traction-gateway check CONFIG --log LOG`",
         "warning",
     ),
-    "thermal": ("make limits with `traction-gateway calibrate`", "note"),
+    "thermal": (
+        "make limits with `traction-gateway calibrate`, or see `traction-gateway explain config`",
+        "note",
+    ),
 }
 """For a flag that was never known: what to do, and the level of the message."""
 UNKNOWN: Final = "Unknown"

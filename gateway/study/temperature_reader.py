@@ -87,7 +87,6 @@ class TemperatureReader(Gateway):
     def __init__(self, config: Config, codec: Codec, start_ns: Nanos) -> None:
         """As `Gateway`. `log` gets the cycles of the ticks; the caller reads it when it is full."""
         super().__init__(config, codec, start_ns)
-        self.thermal.learning = True
         self.log = CycleLog(len(self.nodes))
 
     def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:

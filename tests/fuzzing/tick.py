@@ -85,10 +85,11 @@ STATE: dict[str, str] = {
         " sensor.step_k sensor.bias_k sensor.valid_at sensor.step_index"
     ),
     "thermal.motors": (
-        "ambient_c total number mean trend step_k jumps evidence valid_until_ns fresh"
+        "ambient_c total number mean trend step_k jumps evidence valid_until_ns fresh left_out"
     ),
     "thermal.record": "next_ns cycles next_report_ns cycle second_complete dirty",
     "thermal.model.motors": "",
+    "thermal.currents": "",
     "thermal._ring": "",
     "thermal.window.value": "",
     "thermal.window.mean": "",

@@ -119,7 +119,13 @@ TESTS = {
     ),
     "gateway/core/integrity.c": ("tests/unit/test_integrity.py",),
     "estimators/thermal/trend.c": ("tests/unit/test_thermal_trend.py",),
-    **dict.fromkeys(("gateway/core/thermal.c", "gateway/core/thermal_evidence.c"), (
+    "estimators/thermal/cut_out.c": (
+        "tests/unit/test_temperature_monitor.py", "tests/unit/test_thermal_cut_out.py",
+    ),
+    **dict.fromkeys((
+        "gateway/core/thermal.c", "gateway/core/temperature_window.c",
+        "gateway/core/thermal_evidence.c",
+    ), (
         "tests/unit/test_temperature_monitor.py", "tests/unit/test_thermal.py",
         "tests/unit/test_bad_from_power_up.py", "tests/unit/test_maisd_spikes.py",
     )),
@@ -185,6 +191,7 @@ JUDGED = (
     "estimators/load_observer.c",
     "estimators/maisd.c",
     "estimators/order_statistics.c",
+    "estimators/thermal/cut_out.c",
     "estimators/thermal/gaussian_mixture.c",
     "estimators/thermal/hypotheses.c",
     "estimators/thermal/imm.c",
@@ -219,6 +226,7 @@ JUDGED = (
     "gateway/core/train_speed.c",
     "gateway/core/table_text.c",
     "gateway/core/temperature.c",
+    "gateway/core/temperature_window.c",
     "gateway/core/thermal.c",
     "gateway/core/thermal_evidence.c",
     "gateway/core/thermal_log.c",

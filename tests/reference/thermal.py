@@ -26,7 +26,7 @@ CLASSES = {
 NOTHING = (FaultClass.UNKNOWN, FaultSensor.NONE)
 
 
-def words(motor, kind, unexplained=False):
+def words(motor, kind, unexplained=False, cut_out=False):
     """Thermal and sensor evidence, reason, class, whose sensor; sensor None: the model tells none.
 
     motor: one `struct thermal_motor`; kind (11,): `ThermalMonitor.kinds`;
@@ -34,7 +34,7 @@ def words(motor, kind, unexplained=False):
     """
     if motor["unknown_s"] > BLIND_S:
         return Flag.UNKNOWN, None, Reason.STALE, *NOTHING
-    if unexplained or motor["cut_out"]:
+    if unexplained or cut_out:
         return Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING
     if not motor["judged"]:
         return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
@@ -58,7 +58,7 @@ def words(motor, kind, unexplained=False):
 class Temperatures:
     """Of all motors, beside a `TemperatureMonitor` whose sensors and monitor it looks at."""
 
-    def __init__(self, side, calibration, nodes, window, every, limits):
+    def __init__(self, side, calibration, nodes, window, every, limits, driven_a):
         n = len(side.motors)
         self.side, self.every, self.limits = side, every, limits
         self.period = int(side.record["period_ns"][0])
@@ -72,6 +72,8 @@ class Temperatures:
         self.rows = [[] for _ in range(n)]
         self.mean = np.full((n, POINTS + 3), np.nan)
         self.kept, self.until = [None] * n, [NEVER] * n
+        self.driven_a = driven_a
+        self.square, self.cut_out, self.left_out = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
         self.averages = self.known = self.deviation = None
         self.spread = np.full(POINTS, np.nan)
 
@@ -96,12 +98,26 @@ class Temperatures:
         self.known = (2 * count >= self.window) & valid
         with np.errstate(divide="ignore", invalid="ignore"):
             centred = (self.averages - self.offset) / self.gain
-        self.spread, learnt = maisd.compare(centred, self.known)
-        same = maisd.compare(self.averages, self.known)[1]
+        self._leave_out(centred)
+        compared = self.known & ~self.left_out[:, None]
+        self.spread, learnt = maisd.compare(centred, compared)
+        same = maisd.compare(self.averages, compared)[1]
         nearer = np.where(np.abs(same) < np.abs(learnt), same, learnt)
         opposed = np.isfinite(learnt) & ((same > 0) != (learnt > 0))
         self.deviation = np.where(opposed, 0.0, nearer)
         self.cycles += 1
+
+    def _leave_out(self, centred):
+        """Motors that are cut out, or were and are colder than every driven one less the limit."""
+        if self.side.model is not None:
+            self.cut_out = self.side.currents["cut_out"] == 1
+        limit = np.inf if self.calibration is None else self.calibration.deviation_limit_k
+        driven = self.known & ~self.left_out[:, None]
+        coolest = np.where(driven, centred, np.inf).min(axis=0)
+        with np.errstate(invalid="ignore"):
+            colder = self.known & (centred < coolest - limit)
+        cold = colder.any(axis=1) | ~self.known.any(axis=1)
+        self.left_out = self.cut_out | self.left_out & cold
 
     def _second(self, valid, values, loads):
         for j, (good, celsius) in enumerate(zip(valid, values, strict=True)):
@@ -119,6 +135,12 @@ class Temperatures:
                 there = np.isfinite(rows).sum(axis=0)
                 self.mean[j] = np.nansum(rows, axis=0) / np.where(there, there, np.nan)
         self.rows = [[] for _ in self.rows]
+        measured = np.isfinite(self.mean[:, POINTS])
+        square = np.minimum(self.mean[measured, POINTS], (100.0 * self.driven_a) ** 2)
+        self.square[measured] += (square - self.square[measured]) / 30.0
+        largest = self.square[measured].max(initial=0.0)
+        if largest > self.driven_a**2:
+            self.cut_out = self.square < largest / 400.0
 
     def report(self, j, now):
         """Evidence of one motor: flags, reason, class, sensor, temperature and MAISD."""
@@ -147,11 +169,14 @@ class Temperatures:
         elif self.side.model is None:
             thermal, own, why, *fault = self._unlike(j)
         else:
-            monitor = self.side.model
-            thermal, own, why, *fault = words(monitor.motors[j], monitor.kinds()[0][j])
+            monitor, out = self.side.model, bool(self.cut_out[j])
+            thermal, own, why, *fault = words(monitor.motors[j], monitor.kinds()[0][j], cut_out=out)
         return thermal, sensor if own is None else own, why, *fault, mixed, largest
 
     def _unlike(self, j):
+        if self.left_out[j]:
+            why = Reason.CONFIG if self.cut_out[j] else Reason.STARTING
+            return Flag.UNKNOWN, None, why, *NOTHING
         fitted = self.side.sensors.configured[j]
         if self.known is None or not self.known[j][fitted].all():
             return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
@@ -160,7 +185,8 @@ class Temperatures:
         learnt = self.calibration
         hot = (self.deviation[j] > learnt.deviation_limit_k) & (self.spread > learnt.maisd_limit_k)
         moved = self.side.sensors.drives["sensor"]["moved"] == 1
-        beside = (moved & self.known).sum(axis=0) - (moved & self.known)[j]
+        compared = self.known & ~self.left_out[:, None]
+        beside = (moved & compared).sum(axis=0) - (moved & compared)[j]
         if hot.any() and not (hot & moved[j] & (beside > 0)).any():
             return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
         hot = hot & moved[j] & (beside > 0)

@@ -44,7 +44,7 @@ class Others:
 
     def __init__(self, nodes, side):
         self.inbox = Inbox(codec_for(nodes), nodes, 10 * MS, Supervision(nodes, 300 * MS))
-        side.wire(self.inbox.places([0.0] * len(nodes)), [310 * MS] * len(nodes))
+        side.wire(self.inbox.places([0.0] * len(nodes)), [310 * MS] * len(nodes), [25.0])
 
     def say(self, lines, now):
         """Each drive's Status and Motion, received at `now`."""
@@ -75,7 +75,6 @@ def shipped():
 
 def test_a_second_is_the_mean_of_what_was_known():
     side = TemperatureMonitor(2, 100 * MS, 5.0, None, (1, 2), [("stator", "drive_end"), POINTS])
-    side.learning = True
     lines, others = [Line(), Line(irms=None)], Others((1, 2), side)
     for k in range(10):
         now = (k + 1) * 100 * MS

@@ -60,14 +60,15 @@ def test_residuals_equal_the_reference(seed, tested):
     for n, (reading, given) in enumerate(zip(*weather(rng, 300), strict=True)):
         k, inputs = n % BLOCK, np.empty(MOTORS, records.THERMAL_INPUT)
         inputs["current_square"], inputs["speed"], inputs["ambient"] = given
-        own["cut_out"] = np.arange(MOTORS) == n // 45 - 1
+        current = monitor.currents
+        current["cut_out"] = np.arange(MOTORS) == n // 45 - 1
         lib.thermal_add_sample(
             config, pointer("struct thermal_motor_config", known),
-            pointer("struct thermal_motor", own), MOTORS, k, pointer("double", reading.copy()),
-            pointer("struct thermal_input", inputs),
+            pointer("struct motor_current", current), pointer("struct thermal_motor", own), MOTORS,
+            k, pointer("double", reading.copy()), pointer("struct thermal_input", inputs),
         )  # fmt: skip
         for m, one in enumerate(plain):
-            raw, less_steps = one.add(k, reading[m], *given[:, m], bool(own["cut_out"][m]))
+            raw, less_steps = one.add(k, reading[m], *given[:, m], bool(current["cut_out"][m]))
             np.testing.assert_allclose(own["raw"][m, :, k], raw, atol=1e-9)
             np.testing.assert_allclose(own["block"][m, :, k], less_steps, atol=1e-9)
             np.testing.assert_allclose(
@@ -83,13 +84,12 @@ def test_residuals_equal_the_reference(seed, tested):
 
 
 def test_of_a_motor_that_is_reset_nothing_is_known():
-    """But whether its inputs are, whether it was compared with, and whether it is driven."""
+    """But whether its inputs are, and whether it was compared with."""
     monitor, _ = train(np.random.default_rng(1), tested=True)
     own = monitor.motors[:1].copy()
     fresh = own.copy()
     own.view(np.uint8)[:] = 1
-    kept = {name: own[name] for name in
-            ("unknown_s", "current_square", "trusted", "lost", "cut_out")}  # fmt: skip
+    kept = {name: own[name] for name in ("unknown_s", "trusted", "lost")}
     for name, value in kept.items():
         fresh[name] = value
     for name in ("middle_k", "off_k", "window", "block", "raw"):

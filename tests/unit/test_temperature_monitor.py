@@ -29,7 +29,7 @@ from tests.stations import (
 NODES = (1, 2, 3)
 CODEC = codec_for(NODES)
 FITTED = (("stator", "drive_end", "non_drive_end"), ("stator", "non_drive_end"), ("drive_end",))
-TOP_C = 300.0
+TOP_C, RATED_A = 300.0, [25.0] * 3
 
 
 class Bus:
@@ -42,7 +42,8 @@ class Bus:
         self.level = np.tile([60.0, 50.0, 48.0, 20.0], (3, 1))
         self.off, self.lost = np.zeros((3, 4)), np.zeros((3, 4), dtype=bool)
         self.held = np.zeros((3, 4), dtype=bool)
-        self.gone = np.zeros(3, dtype=bool)
+        self.gone, self.idle = np.zeros((2, 3), dtype=bool)
+        self.colder_k = np.zeros(3)
         self.now = self.tick = 0
 
     def _change(self):
@@ -65,6 +66,7 @@ class Bus:
             column[:] = np.where(rng.random(3) < 0.03, np.nan, rng.normal(0.0, 20.0, 3))
         # Mostly known, so that the model is fed.
         slow.irms[:] = np.where(np.isnan(slow.irms) & (rng.random(3) < 0.9), 5.0, slow.irms)
+        slow.irms[self.idle] = 0.0
         state["good_ns"] = self.now - rng.choice([0, 10, 5000], len(state)) * MS
         state["reason"] = rng.choice([Reason.NONE] * 9 + [Reason.STALE], len(state))
 
@@ -87,7 +89,8 @@ class Bus:
             space["channel"][row], space["t_ns"][row] = channel.row, self.now - MS
             picked = list(channel.picked)
             shaky = np.where(self.held[j], 0.0, rng.normal(0.0, 0.15, 4))
-            celsius = np.minimum(np.round(self.level[j] + self.off[j] + shaky, 1), TOP_C)
+            celsius = self.level[j] + self.off[j] + shaky - self.colder_k[j]
+            celsius = np.minimum(np.round(celsius, 1), TOP_C)
             space["value"][row, picked] = celsius
             space["validity"][row, picked] = np.where(self.lost[j], rng.integers(1, 4, 4), 0)
             space["value"][row, channel.quality] = rng.choice([1.0] * 40 + [0.0, 2.0, 3.0])
@@ -102,11 +105,10 @@ def made(method, seed, fitted=FITTED):
     """A thermal side, its bus and its reference."""
     learnt = None if method == "none" else cells()
     side = TemperatureMonitor(3, 100 * MS, 5.0, learnt, NODES, fitted, model=method == "model")
-    side.learning = True
     bus, limits = Bus(seed), [310 * MS, 310 * MS, 150 * MS]
-    side.wire(bus.places, limits)
+    side.wire(bus.places, limits, RATED_A)
     # A window and a second of the calibration's length in cycles.
-    plain = reference.Temperatures(side, learnt, NODES, 50, 10, limits)
+    plain = reference.Temperatures(side, learnt, NODES, 50, 10, limits, 0.03 * RATED_A[0])
     return side, bus, plain
 
 
@@ -131,11 +133,13 @@ def everything(side):
 
 @pytest.mark.parametrize(("method", "seed"), [("none", 1), ("maisd", 2), ("model", 3)])
 def test_it_equals_the_reference_and_a_recording_is_as_good_as_frames(method, seed):
-    """Sensors that fail in every way, drives that fall silent, ticks of any length."""
+    """Sensors that fail in every way, silent drives, one that is cut out, ticks of any length."""
     side, bus, plain = made(method, seed)
     other, _, _ = made(method, seed)
     inputs, again, met = np.zeros(3, FLAG_INPUTS), np.zeros(3, FLAG_INPUTS), set()
+    current = set()
     for tick in range(3000):
+        bus.idle[0], bus.colder_k[0] = tick < 1000, np.clip((2000 - tick) / 40, 0.0, 12.0)
         bus.go_on()
         side.hear(bus.inbox, bus.now, inputs)
         for reading in bus.inbox.temperatures:
@@ -152,9 +156,12 @@ def test_it_equals_the_reference_and_a_recording_is_as_good_as_frames(method, se
             numbers = [inputs[k]["mixed_c"], inputs[k]["maisd_k"]]
             np.testing.assert_allclose(numbers, wanted[5:], rtol=1e-9, atol=1e-9)
             met.add((told.reason, told.fault_class))
+            current.add((k, bool(side.currents["cut_out"][k]), bool(side.motors["left_out"][k])))
     assert everything(side) == everything(other)
     assert {FaultClass.SENSOR_BIAS, FaultClass.SENSOR_LOST} <= {kind for _, kind in met}
     assert {Reason.STALE, Reason.NOT_AVAILABLE} <= {reason for reason, _ in met}
+    driven = {(k, False, False) for k in range(3)}
+    assert current == driven | {(0, True, True), (0, False, True)}
 
 
 def test_a_copy_goes_on_by_itself():
@@ -181,10 +188,11 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         bus.lost[:], bus.off[:], bus.gone[:] = False, 0.0, False
         side.hear(bus.inbox, bus.now, inputs)
     motors, unexplained = side.model.motors, side.model.known_motors["unexplained"]
+    out = side.currents
     for _ in range(1000):
         unexplained[:] = rng.random(3) < 0.1
         motors["unknown_s"] = rng.choice([0.0, 5.0, 5.1], 3, p=[0.8, 0.1, 0.1])
-        motors["judged"], motors["cut_out"] = rng.random(3) < 0.9, rng.random(3) < 0.1
+        motors["judged"], out["cut_out"] = rng.random(3) < 0.9, rng.random(3) < 0.1
         motors["off_k"] = np.where(rng.random((3, 3)) < 0.4, np.nan, 1.0)
         motors["held"] = rng.random(3) < 0.6
         motors["fault_probability"] = rng.choice([0.5, 0.51], 3)
@@ -201,7 +209,9 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         for k in range(3):
             side.motors["valid_until_ns"] = NEVER
             told = side.report(k, bus.now, 1 << 60)
-            thermal, own, *rest = reference.words(motors[k], kinds[k], unexplained[k])
+            thermal, own, *rest = reference.words(
+                motors[k], kinds[k], unexplained[k], out["cut_out"][k]
+            )
             if sensor_verdict(side.sensors, k, bus.now)[0] is not FaultClass.NONE:
                 continue
             sensor = Flag.UNKNOWN if not_yet_valid(side.sensors, k) else Flag.GOOD
@@ -303,13 +313,11 @@ def test_a_temperature_that_no_sensor_has_is_taken_as_it_is():
 
 def test_an_absent_receiver_is_no_load():
     side = TemperatureMonitor(3, 100 * MS, 2.0, None, NODES)
-    side.learning = True
     for k in range(11):
         side.add_readings([Temperatures(0, k * 100 * MS, (50.0,) * 4, (True,) * 4, (500,) * 4)],
                   k * 100 * MS)  # fmt: skip
     assert np.isnan(side.last.square).all() if side.last else True
     np.testing.assert_array_equal(side.motors["mean"][:, 3:5], np.nan)
-    assert side.learning
 
 
 def test_a_drive_without_quality_status_or_motion_has_no_load_and_readings_that_count():

@@ -30,9 +30,7 @@ def whole(log, config, codec):
         rows.append([np.array(column) for column in columns])
 
     def make(start):
-        gateway = Gateway(config, codec, start)
-        gateway.thermal.learning = True
-        return gateway
+        return Gateway(config, codec, start)
 
     blocks = OneChannel(open_log(log, strict=False).blocks, None)
     replay(blocks, make, config.loop.period_ns, note)

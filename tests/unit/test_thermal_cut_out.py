@@ -27,7 +27,8 @@ def test_it_is_not_judged_until_some_blocks_after_it_is_driven_again(known):
     monitor, states = ThermalMonitor(known, 1.0), []
     for _ in followed(monitor, record):
         motors = monitor.motors
-        states.append((motors["cut_out"].copy(), motors["judged"].copy(), motors["held"].copy()))
+        out = monitor.currents["cut_out"]
+        states.append((out.copy(), motors["judged"].copy(), motors["held"].copy()))
     out, judged, held = (np.array(part) for part in zip(*states, strict=True))
     others = np.arange(MOTORS) != ILL
     assert not out[:, others].any()
@@ -47,20 +48,37 @@ def test_where_no_motor_is_driven_none_is_cut_out(known):
     record.current_square[200:] *= 1e-4
     record.current_square[200:, ILL] = 0.0
     monitor = ThermalMonitor(known, 1.0)
-    assert not any(monitor.motors["cut_out"].any() for _ in followed(monitor, record))
+    assert not any(monitor.currents["cut_out"].any() for _ in followed(monitor, record))
 
 
 def test_of_its_share_it_is_not_cut_out_and_below_it_is(known):
     monitor, square = ThermalMonitor(known, 1.0), np.full(MOTORS, 4e4)
-    monitor.config["cut_out"] = 0.25
+    monitor.config["cut_out"]["share"] = 0.25
     for share, out in ((0.25, False), (0.24, True)):
         square[ILL] = share * 4e4
         for _ in range(600):
             monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
-        assert monitor.motors["cut_out"].tolist() == [out and m == ILL for m in range(MOTORS)]
+        assert monitor.currents["cut_out"].tolist() == [out and m == ILL for m in range(MOTORS)]
     square[ILL] = np.nan
     monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
-    assert monitor.motors["cut_out"][ILL], "unknown, it stays what it was"
+    assert monitor.currents["cut_out"][ILL], "unknown, it stays what it was"
+
+
+def test_of_many_that_are_cut_out_none_is_judged(known):
+    """Not even where they are the most."""
+    monitor, square = ThermalMonitor(known, 1.0), np.zeros(MOTORS)
+    square[ILL] = 4e4
+    for _ in range(100):
+        monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+    assert monitor.currents["cut_out"].tolist() == [m != ILL for m in range(MOTORS)]
+
+
+def test_one_wrong_reading_cuts_out_no_motor_that_is_driven(known):
+    monitor, square = ThermalMonitor(known, 1.0), np.full(MOTORS, known.duty[1] / 100.0)
+    for n in range(1000):
+        square[ILL] = 1e12 if n % 300 == 200 else square[0]
+        monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+        assert not monitor.currents["cut_out"].any()
 
 
 def test_one_motor_is_never_cut_out(known):
@@ -120,3 +138,37 @@ def test_calibrate_says_which_motor_was_cut_out(tmp_path, capsys, which):
         assert "drive 2 turned without current in 1 of 2 runs" in said.out
         assert "nan" not in said.out
         assert out.exists()
+
+
+def compared(folder, capsys, motors, **idle):
+    """Last words of a replay by `maisd`: seconds, drive, thermal state; and what it prints."""
+    config = slow_record.config(folder, motors)
+    slow_record.write(folder / "learnt.log", config, 1800, seed=1)
+    slow_record.write(folder / "idle.log", config, 5400, seed=2, **idle)
+    limits = folder / "limits.toml"
+    learn = ["calibrate", str(folder / "learnt.log"), "--config", str(config), "-o", str(limits)]
+    assert main([*learn, "--without-model"]) == 0
+    lines = '[thermal]\nmethod = "maisd"\ncalibration = "limits.toml"\n'
+    config.write_text(config.read_text() + lines)
+    capsys.readouterr()
+    assert main(["replay", str(folder / "idle.log"), "--config", str(config)]) == 0
+    printed = capsys.readouterr()
+    rows = [line.split() for line in printed.out.splitlines() if "  thermal  " in line]
+    return [(float(t), int(node), word) for t, _, _, node, _, word in rows], "".join(printed)
+
+
+@pytest.mark.parametrize(("motors", "out"), [(2, (2,)), (3, (1, 2)), (3, (1,))])
+def test_beside_a_cold_motor_no_driven_one_is_hot(tmp_path, capsys, motors, out):
+    rows, printed = compared(tmp_path, capsys, motors, cut_out=out)
+    known = {node for _, node, word in rows if word == "NoFault"}
+    driven = set(range(1, motors + 1)) - set(out)
+    assert "Fault" not in {word for *_, word in rows}
+    assert known == (driven if len(driven) > 1 else set()), "one alone has none to compare with"
+    assert "Config" in printed
+
+
+def test_once_it_is_as_warm_as_the_others_it_is_compared_again(tmp_path, capsys):
+    rows, _ = compared(tmp_path, capsys, 3, cut_out=(2,), until=1800)
+    assert "Fault" not in {word for *_, word in rows}
+    first = next(t for t, node, word in rows if node == 2 and word == "NoFault")
+    assert 1800 < first < 5000
