@@ -52,7 +52,9 @@ def measure(monitor: ThermalMonitor, off: Array, inputs: Records) -> Coverage:
     z = innovations(monitor, off, inputs)[START:]
     loss = inputs["copper"][START:] / np.maximum(inputs["count"][START:], 1.0)
     motors = off.shape[1]
-    out = Coverage(np.ones(motors), np.full((motors, 2), np.nan), np.full(motors, np.nan))
+    out = Coverage(
+        np.ones(motors), np.full((motors, 2), np.nan), np.full(motors, np.nan), np.zeros(motors)
+    )
     for m in range(motors):
         seen = np.isfinite(z[:, m]).any(axis=1)
         if np.count_nonzero(seen) < FEWEST:

@@ -123,7 +123,10 @@ def learn(parameters: Array, runs: Sequence[Record]) -> Known:
     beside = last.off_k - np.nan_to_num(mean_of_known([_median(run.off_k) for run in every]))
     known = _likeliest(known._replace(centre=centre, noise=noise), last.inputs, beside, dt)
     found = coverage.measure(ThermalMonitor(known, dt), beside, last.inputs)
-    return known._replace(coverage=found)
+    known = known._replace(coverage=found)
+    faulty = [Watching(known).believe(run).statistic > 0.0 for run in runs]
+    false_share = np.concatenate(faulty).mean(axis=0)
+    return known._replace(coverage=found._replace(false_share=false_share))
 
 
 def _median(values: Array) -> Array:

@@ -31,6 +31,7 @@ static const double SURE = 1.0 - 1e-6; /* probability that a sensor that has ste
 static const double LEAST = 1e-300;    /* least sum of probabilities that divides */
 /* A reported fault ends below the first probability; a reported probability is above one half. */
 static const double CLEAR = 0.3, HALF = 0.5;
+static const double MOST_TESTED_S = 60.0; /* s for which others are compared with a last value */
 /* Bursts in a row that may be one departure; a sensor that is away for longer has a new level. */
 static const double MOST_BURSTS = 4.0;
 
@@ -45,11 +46,11 @@ static int readings_of(const double *values, int block, double *out)
 }
 
 /* Median of the n readings of a block in values, which are not changed; NaN if there are fewer than
- * a third. */
+ * half. */
 static double block_median(const double *values, int n, int block)
 {
     double sorted[THERMAL_BLOCK_MAX];
-    if (3 * n < block)
+    if (2 * n < block)
         return NAN;
     for (int k = 0; k < n; k++)
         sorted[k] = values[k];
@@ -147,29 +148,55 @@ static void read_inputs(struct thermal_motor *motor)
     motor->half[0] = motor->half[1] = (struct thermal_sums){0};
 }
 
+/* What the others were compared with in the last block, in the values of this one: a motor that has
+ * no reading now, or has started anew, keeps its last value. */
+static void compared_before(const struct thermal_motor *motor, double *out)
+{
+    for (int q = 0; q < P; q++) {
+        const double now = motor->middle_k[q] - motor->base_k[q];
+        const int goes_on = isfinite(motor->compared_k[q]) && isfinite(now) && motor->judged > 0;
+        out[q] = goes_on ? now : motor->compared_k[q];
+    }
+}
+
+/* What the others are compared with from now on. While a sensor is tested for a step that is its
+ * last value: without it the others would seem to change together. */
+static void compare_with(double block_s, struct thermal_motor *motor, double *out)
+{
+    for (int q = 0; q < P; q++) {
+        const double now = motor->middle_k[q] - motor->base_k[q];
+        motor->absent_s[q] = isfinite(now) ? 0.0 : motor->absent_s[q] + block_s;
+        const int tested = motor->step[q].since >= 0 && motor->absent_s[q] <= MOST_TESTED_S;
+        if (isfinite(now) || !tested)
+            motor->compared_k[q] = now;
+        out[q] = motor->compared_k[q];
+    }
+}
+
 void thermal_close_block(const struct thermal_config *config,
                          const struct thermal_motor_config *known, struct thermal_motor *motor,
                          int motors, double *workspace)
 {
-    double *u = workspace, *was = u + (int64_t)motors * P, *sorted = was + (int64_t)motors * P;
+    double *before = workspace, *now = before + (int64_t)motors * P;
+    double *others = now + (int64_t)motors * P, *sorted = others + (int64_t)motors * P;
     uint8_t *trusted = (uint8_t *)(sorted + motors);
     for (int m = 0; m < motors; m++) {
         summarise(config, &known[m], &motor[m]);
-        for (int q = 0; q < P; q++)
-            u[m * P + q] = motor[m].middle_k[q] - motor[m].base_k[q];
+        compared_before(&motor[m], before + (int64_t)m * P);
+        compare_with(config->imm.block_s, &motor[m], now + (int64_t)m * P);
         trusted[m] = motor[m].trusted;
     }
-    peers_median(u, trusted, motors, sorted, was);
+    peers_median(before, trusted, motors, sorted, others);
     for (int m = 0; m < motors; m++)
         for (int q = 0; q < P; q++)
-            motor[m].off_k[q] = was[m * P + q];
+            motor[m].off_k[q] = others[m * P + q];
     for (int m = 0; m < motors; m++)
         trusted[m] = motor[m].trusted = !motor[m].held && !known[m].unexplained;
-    peers_median(u, trusted, motors, sorted, was);
+    peers_median(now, trusted, motors, sorted, others);
     for (int m = 0; m < motors; m++) {
         for (int q = 0; q < P; q++) {
-            widen_seen(&motor[m], q, was[m * P + q] - motor[m].off_k[q]);
-            motor[m].off_k[q] = u[m * P + q] - was[m * P + q];
+            widen_seen(&motor[m], q, others[m * P + q] - motor[m].off_k[q]);
+            motor[m].off_k[q] = motor[m].middle_k[q] - motor[m].base_k[q] - others[m * P + q];
             forget_return(&motor[m], q);
         }
         read_inputs(&motor[m]);
@@ -282,8 +309,7 @@ void thermal_monitor_add_sample(struct thermal_monitor *all, const double *readi
                                 const struct thermal_input *input)
 {
     find_cut_out(&all->config->cut_out, input, all->motor_count, all->currents);
-    thermal_add_sample(all->config, all->known, all->currents, all->motors, all->motor_count,
-                       all->position, reading, input);
+    thermal_add_sample(all, reading, input);
     all->position += 1;
     if (all->position >= all->config->block)
         thermal_monitor_close_block(all);

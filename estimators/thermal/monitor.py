@@ -94,6 +94,8 @@ RAISE: Final = 0.9
 """Probability above which a fault is reported, where no rate of false alarms is stated."""
 LEAST_COVERED: Final = 0.8
 """Least share of held-back blocks in the 95 % band; a motor with less gets `Reason` Config."""
+MOST_FALSE: Final = 0.03
+"""Largest share of the calibration's own time in which a fault is reported; above it: the same."""
 LOOSE_SHARE, GOOD_SHARE = 0.04, 1e-6
 """Share of readings that are far off, from a loose and from a good connector."""
 FAR_SIGMA, FAR_K = 6.0, 3.0
@@ -123,17 +125,24 @@ class Coverage(NamedTuple):
     inflation (M,): root mean square of the normalised innovations, at least 1; covered (M, 2):
     share of them within the 95 % band times the inflation, in the half of the blocks with less
     copper loss and in the half with more; lag_one (M,): their correlation from block to block. A
-    motor with too few blocks has 1, NaN, NaN.
+    motor with too few blocks has 1, NaN, NaN. false_share (M,): share of the fault-free runs in
+    which a fault is reported.
     """
 
     inflation: Array
     covered: Array
     lag_one: Array
+    false_share: Array
+
+    @property
+    def uncovered(self) -> NDArray[np.bool_]:
+        """(M,) whether even the inflated band covers too few blocks, at either duty."""
+        return np.asarray((self.covered < LEAST_COVERED).any(axis=1))
 
     @property
     def unexplained(self) -> NDArray[np.bool_]:
-        """(M,) whether even the inflated band covers too few blocks, at either duty."""
-        return np.asarray((self.covered < LEAST_COVERED).any(axis=1))
+        """(M,) whether a motor is not judged: it is not covered, or seems faulty in health."""
+        return np.asarray(self.uncovered | (self.false_share > MOST_FALSE))
 
 
 class Known(NamedTuple):
@@ -177,12 +186,12 @@ class ThermalMonitor(Addressed):
         self.block_s = self.block * dt_s
         self.known_motors = _motors(known, self.block)
         self.motors = np.zeros(len(known.parameters), records.THERMAL_MOTOR)
-        self.motors["trusted"] = True
+        self.motors["trusted"], self.motors["compared_k"] = True, np.nan
         self.currents = np.zeros(len(self.motors), records.MOTOR_CURRENT)
         """(M,) of `struct motor_current`."""
         self.record = np.zeros(1, records.THERMAL_MONITOR)
         self.record["motor_count"] = len(self.motors)
-        self._workspace = np.zeros(8 * len(self.motors))
+        self._workspace = np.zeros(11 * len(self.motors))
         self.link()
         for motor in pointer("struct thermal_motor", self.motors):
             lib.thermal_motor_reset(pointer("struct thermal_config", self.config),
@@ -321,7 +330,8 @@ def _config(known: Known, dt_s: float) -> Records:
     out["imm"] = imm_config(known.scale, block * dt_s, faults)
     out["imm"]["own_k"] = known.own_k
     out["imm"]["ambiguous"] = AMBIGUOUS if known.own_k > MISFIT_K else 0.0
-    out["steps"] = step_detector.config(dt_s, tested=tested)
+    noise_k = float(np.median(known.noise, axis=0).max())
+    out["steps"] = step_detector.config(dt_s, noise_k=noise_k, tested=tested)
     seen = step_detector.window(out["steps"]) if tested else 0
     if max(block, seen) > MOST_SAMPLES:
         raise ValueError(f"samples {dt_s} s apart are too close together: average some of them")

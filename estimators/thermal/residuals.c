@@ -1,6 +1,6 @@
 /* Residuals of every motor's readings, sample by sample: its model (model.c) runs open loop beside
  * it, with the currents, the speed and the ambient temperature on the bus. Steps of sensors
- * (step_detector.c) are removed.
+ * (step_detector.c) are removed; what all motors' sensors show together is none.
  *
  * Nothing here can fail: rates that divide are above 0 (`identify` finds their logarithms), and
  * windows and blocks have at most THERMAL_BLOCK_MAX samples (`struct thermal_config`). */
@@ -9,6 +9,7 @@
 #include <math.h>
 
 #include "estimators/numbers.h"
+#include "estimators/order_statistics.h"
 #include "estimators/thermal/imm.h"
 #include "estimators/thermal/model.h"
 #include "estimators/thermal/step_detector.h"
@@ -19,10 +20,13 @@ static const double NO_EXTRA[L] = {0.0};
 
 void thermal_motor_reset(const struct thermal_config *config, struct thermal_motor *motor)
 {
+    const struct thermal_motor was = *motor;
     *motor = (struct thermal_motor){
-        .unknown_s = motor->unknown_s, .trusted = motor->trusted, .lost = motor->lost};
+        .unknown_s = was.unknown_s, .trusted = was.trusted, .lost = was.lost};
     imm_start(&config->imm, &motor->imm);
     for (int q = 0; q < P; q++) {
+        motor->compared_k[q] = was.compared_k[q];
+        motor->absent_s[q] = was.absent_s[q];
         step_reset(&motor->step[q]);
         motor->burst[q].level_k = NAN;
         motor->middle_k[q] = motor->off_k[q] = NAN;
@@ -87,11 +91,10 @@ static void add_inputs(const struct thermal_parameters *p, const struct thermal_
     sums->count += 1.0;
 }
 
-/* Add the residual of one sensor, the k-th of its block; NaN without a reading. */
+/* Add the residual of one sensor; NaN without a reading. */
 static void add_residual(const struct thermal_config *config, struct thermal_motor *motor, int q,
                          int k, double residual)
 {
-    struct step_state *step = &motor->step[q];
     motor->raw[q][k] = residual;
     if (config->steps.step_k > 0.0) {
         double *window = motor->window[q];
@@ -99,9 +102,7 @@ static void add_residual(const struct thermal_config *config, struct thermal_mot
         for (int i = 1; i < size; i++)
             window[i - 1] = window[i];
         window[size - 1] = residual;
-        step_add_sample(&config->steps, step, window);
     }
-    motor->block[q][k] = step->since < 0 ? residual - step->offset_k : NAN;
 }
 
 static int is_known(const struct thermal_input *u)
@@ -150,15 +151,74 @@ static void add_sample(const struct thermal_config *config,
     }
 }
 
-void thermal_add_sample(const struct thermal_config *config,
-                        const struct thermal_motor_config *known,
-                        const struct motor_current *current, struct thermal_motor *motor,
-                        int motors, int k, const double *reading, const struct thermal_input *input)
+/* ---- Steps */
+
+/* 1 if the motor's model ran in this sample, so that there are residuals. */
+static int is_running(const struct thermal_motor *motor)
 {
-    for (int m = 0; m < motors; m++) {
-        add_sample(config, &known[m], current[m].cut_out, &motor[m], k, reading + (int64_t)m * P,
-                   &input[m]);
-        if (motor[m].lost)
-            thermal_motor_reset(config, &motor[m]);
+    return motor->started && motor->unknown_s == 0.0;
+}
+
+/* Jumps of point q of all motors, sorted; returns their number. */
+static int find_jumps(const struct thermal_monitor *all, int q, double *jump, double *sorted)
+{
+    int n = 0;
+    for (int m = 0; m < all->motor_count; m++) {
+        jump[m] = step_jump(&all->config->steps, all->motors[m].window[q]);
+        if (isfinite(jump[m]))
+            sorted[n++] = jump[m];
+    }
+    sort_ascending(sorted, n);
+    return n;
+}
+
+/* Median jump of the other n - 1 motors. */
+static double others_jump(const double *sorted, int n, double own)
+{
+    const int others = n - (isfinite(own) != 0);
+    if (others < 1)
+        return 0.0;
+    const struct middle_pair middle = middle_of_others(sorted, others, own);
+    return 0.5 * (middle.below + middle.above);
+}
+
+/* Find the steps of the sensors at point q. What the others' sensors show at the same time is no
+ * step of this one: the model does not know their lag. */
+static void find_steps(struct thermal_monitor *all, int q)
+{
+    const struct step_config *config = &all->config->steps;
+    double *jump = all->workspace, *sorted = jump + all->motor_count;
+    int due = 0, n = 0;
+    for (int m = 0; m < all->motor_count; m++)
+        due |= is_running(&all->motors[m]) && step_is_due(config, &all->motors[m].step[q]);
+    if (due)
+        n = find_jumps(all, q, jump, sorted);
+    for (int m = 0; m < all->motor_count; m++) {
+        struct thermal_motor *motor = &all->motors[m];
+        if (is_running(motor))
+            step_add_sample(config, &motor->step[q], motor->window[q],
+                            n > 0 ? others_jump(sorted, n, jump[m]) : 0.0);
+    }
+}
+
+void thermal_add_sample(struct thermal_monitor *all, const double *reading,
+                        const struct thermal_input *input)
+{
+    const int k = all->position;
+    for (int m = 0; m < all->motor_count; m++) {
+        struct thermal_motor *motor = &all->motors[m];
+        add_sample(all->config, &all->known[m], all->currents[m].cut_out, motor, k,
+                   reading + (int64_t)m * P, &input[m]);
+        if (motor->lost)
+            thermal_motor_reset(all->config, motor);
+    }
+    for (int q = 0; q < P; q++) {
+        if (all->config->steps.step_k > 0.0)
+            find_steps(all, q);
+        for (int m = 0; m < all->motor_count; m++) {
+            struct thermal_motor *motor = &all->motors[m];
+            if (is_running(motor) && motor->step[q].since < 0)
+                motor->block[q][k] = motor->raw[q][k] - motor->step[q].offset_k;
+        }
     }
 }

@@ -12,13 +12,10 @@ void thermal_motor_reset(const struct thermal_config *config, struct thermal_mot
 int thermal_motor_start(const struct thermal_parameters *p, const struct thermal_input *u,
                         const double *reading, double *x);
 
-/* Add one sample of all motors, the k-th of a block: reading (motors, THERMAL_POINTS) degC, input
- * (motors), NaN without. A motor that is cut out, or whose inputs were unknown for too long, is reset
- * and is `lost`. */
-void thermal_add_sample(const struct thermal_config *config,
-                        const struct thermal_motor_config *known,
-                        const struct motor_current *current, struct thermal_motor *motor,
-                        int motors, int k, const double *reading,
+/* Add one sample of all motors to the current block: reading (motors, THERMAL_POINTS) degC, input
+ * (motors), NaN without. A motor that is cut out, or whose inputs were unknown for too long, is
+ * reset and is `lost`. */
+void thermal_add_sample(struct thermal_monitor *all, const double *reading,
                         const struct thermal_input *input);
 
 #endif

@@ -71,18 +71,30 @@ static double jump(const struct step_config *config, const double *x, double lev
     return fabs(straight) < fabs(bent) ? straight : bent;
 }
 
+double step_jump(const struct step_config *config, const double *x)
+{
+    return jump(config, x, NAN);
+}
+
+int step_is_due(const struct step_config *config, const struct step_state *state)
+{
+    return state->since + 1 >= config->settled;
+}
+
 void step_reset(struct step_state *state)
 {
     *state = (struct step_state){.level_k = NAN, .home_k = NAN, .since = -1};
 }
 
 /* A step was seen `since` samples ago: measure it when it has settled. */
-static void settle(const struct step_config *config, struct step_state *state, const double *x)
+static void settle(const struct step_config *config, struct step_state *state, const double *x,
+                   double others)
 {
+    const int due = step_is_due(config, state);
     state->since += 1;
-    if (state->since < config->settled)
+    if (!due)
         return;
-    const double moved = jump(config, x, state->level_k);
+    const double moved = jump(config, x, state->level_k) - others;
     if (fabs(moved) > 0.8 * config->step_k) {
         state->offset_k += moved;
         if (fabs(state->offset_k) < config->back_k)
@@ -110,10 +122,11 @@ static void update_level(const struct step_config *config, struct step_state *st
     }
 }
 
-void step_add_sample(const struct step_config *config, struct step_state *state, const double *x)
+void step_add_sample(const struct step_config *config, struct step_state *state, const double *x,
+                     double others)
 {
     if (state->since >= 0) {
-        settle(config, state, x);
+        settle(config, state, x, others);
         return;
     }
     const int size = step_window(config);
@@ -137,7 +150,7 @@ void step_follow(const struct step_config *config, const double *x, int64_t coun
             latest[i - 1] = latest[i];
         latest[size - 1] = x[k];
         if (k >= config->before + config->after)
-            step_add_sample(config, &state, latest);
+            step_add_sample(config, &state, latest, 0.0);
         out[k] = state.offset_k;
     }
 }

@@ -2,9 +2,10 @@
 
 The detector compares the median of a sensor's residual (reading less model) over the last seconds
 with the median before. If they differ by more than `STEP_K`, it compares the medians again when the
-readings have settled: a burst is over by then, a step is not. Steps add up to the sensor's offset;
-a step back to the first level is no new fault. Only for readings that come every few seconds. Not
-in paper `thermal`. The rules are in `step_detector.c`.
+readings have settled, less the step that the other motors' sensors show: a burst is over by then, a
+step is not. Steps add up to the sensor's offset; a step back to the first level is no new fault.
+Only for readings that come every few seconds. Not in paper `thermal`. The rules are in
+`step_detector.c`, those of the train in `residuals.c`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ Array = NDArray[np.float64]
 
 BEFORE_S, AFTER_S, SETTLED_S = 20.0, 5.0, 25.0
 STEP_K: Final = 1.5
-"""Least step of medians over seconds: eight times their noise if single readings have 0.25 K."""
+"""Least step of medians over seconds."""
+STEP_NOISES: Final = 6.0
+"""A step is at least so many times the noise of a single reading: eight times that of a median."""
 BACK_K: Final = 1.0
 """A sensor that is off by less is back at its first level."""
 HEAT_K_PER_S: Final = 0.1
@@ -31,10 +34,14 @@ SLOWEST_S: Final = 2.0
 MOST_SAMPLES: Final[int] = lib.STEP_WINDOW_MAX
 
 
-def config(spacing_s: float, *, tested: bool = True) -> Records:
-    """(1,) of `struct step_config`, for samples `spacing_s` apart; without `tested` no steps."""
+def config(spacing_s: float, *, noise_k: float = 0.0, tested: bool = True) -> Records:
+    """(1,) of `struct step_config`, for samples `spacing_s` apart; without `tested` no steps.
+
+    noise_k: standard deviation of the noise of a reading.
+    """
     out = np.zeros(1, records.STEP_CONFIG)
-    out["step_k"], out["back_k"] = STEP_K if tested else 0.0, BACK_K
+    out["step_k"] = max(STEP_K, STEP_NOISES * noise_k) if tested else 0.0
+    out["back_k"] = BACK_K
     out["drift_k"] = HEAT_K_PER_S * spacing_s
     for name, seconds in (("before", BEFORE_S), ("after", AFTER_S), ("settled", SETTLED_S)):
         out[name] = round(seconds / spacing_s)

@@ -590,6 +590,8 @@ struct thermal_motor {
     struct thermal_sums inputs;  /* sums from the middle of the last block to that of this one */
     double middle_k[THERMAL_POINTS]; /* K, medians of the last block; NaN: too few readings */
     double bursts[THERMAL_POINTS]; /* log odds for a loose connector by the last block; NaN: none */
+    double compared_k[THERMAL_POINTS]; /* K, what others are compared with; NaN: nothing */
+    double absent_s[THERMAL_POINTS];   /* s since a block had enough readings for it */
     double off_k[THERMAL_POINTS];  /* K, last block relative to the other motors; NaN: no others */
     double base_k[THERMAL_POINTS]; /* K, baseline learnt while there was no fault */
     double loose[THERMAL_POINTS];  /* probability of a loose connector */
@@ -1188,7 +1190,7 @@ struct thermal_monitor {
     const struct thermal_motor_config *known; /* (motor_count) constants of the motors */
     struct thermal_motor *motors;             /* (motor_count) states of the motors */
     struct motor_current *currents;           /* (motor_count) which of them are driven */
-    double *workspace;                        /* 8 numbers per motor */
+    double *workspace;                        /* 11 numbers per motor */
     int32_t motor_count;
     int32_t position; /* number of samples in the current block */
     int32_t waiting;  /* motors, the last ones, whose last block is not judged yet */

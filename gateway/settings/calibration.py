@@ -65,8 +65,8 @@ class MotorHeat(Deferred):
 
     rates: of its lumps, in the order of `model.NAMES`; offset_k: offsets of the sensors; centre_k:
     difference from the other motors in health; noise_k: noise of one-second readings; inflation,
-    covered, lag_one: see `monitor.Coverage` (None: the file is older than these keys, or the log
-    was too short to measure them).
+    covered, lag_one, false_share: see `monitor.Coverage` (None: the file is older than these keys,
+    or the log was too short to measure them).
     """
 
     rates: tuple[Rate, ...] = Field(min_length=model.RATES, max_length=model.RATES)
@@ -76,6 +76,7 @@ class MotorHeat(Deferred):
     inflation: Annotated[float, within(1, 100, "", AGAIN)] | None = None
     covered: tuple[Share, Share] | None = None
     lag_one: Annotated[float, within(-1, 1, "", AGAIN)] | None = None
+    false_share: Share | None = None
 
 
 class FleetHeat(Deferred):
@@ -181,6 +182,7 @@ class Calibration(Deferred):
                 np.array([cell.inflation or 1.0 for cell in own]),
                 np.array([cell.covered or (np.nan, np.nan) for cell in own]),
                 np.array([np.nan if cell.lag_one is None else cell.lag_one for cell in own]),
+                np.array([cell.false_share or 0.0 for cell in own]),
             ),
         )
 

@@ -299,6 +299,7 @@ def _motor_heat(known: Known, j: int) -> MotorHeat:
         inflation=float(found.inflation[j]) if found and measured else None,
         covered=tuple(found.covered[j].tolist()) if found and measured else None,
         lag_one=float(found.lag_one[j]) if found and measured else None,
+        false_share=float(found.false_share[j]) if found else None,
     )
 
 

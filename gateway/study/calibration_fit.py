@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.thermal.model import inputs_of, predict
-from estimators.thermal.monitor import Coverage, Known
+from estimators.thermal.monitor import MOST_FALSE, Coverage, Known
 from estimators.thermal.record import POINTS, Record, mean_of_known
 from estimators.thermal.system_identification import first_readings
 
@@ -74,15 +74,23 @@ def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
         f"drive {node}: filters widened {inflation:.2f} times; their 95 % band then contains "
         f"{100.0 * light:.0f} % of the blocks with low and {100.0 * heavy:.0f} % of those with "
         f"high copper loss; correlation from block to block {lag_one:.2f}"
-        for node, inflation, (light, heavy), lag_one in zip(nodes, *coverage, strict=True)
+        for node, inflation, (light, heavy), lag_one, _ in zip(nodes, *coverage, strict=True)
         if np.isfinite(lag_one)
     ]
-    unexplained = [str(n) for n, no in zip(nodes, coverage.unexplained, strict=True) if no]
-    if unexplained:
-        out.append(
-            f"note: drive {', '.join(unexplained)} will be Unknown with reason Config: the filters "
-            "do not fit it; record fault-free logs with the same duty as the others"
-        )
+    for node, uncovered, false_share in zip(
+        nodes, coverage.uncovered, coverage.false_share, strict=True
+    ):
+        unknown = f"note: drive {node} will be Unknown with reason Config:"
+        if uncovered:
+            out.append(
+                f"{unknown} the filters do not fit it; record fault-free logs with the same duty "
+                "as the others"
+            )
+        elif false_share > MOST_FALSE:
+            out.append(
+                f"{unknown} it seems faulty for {100.0 * false_share:.0f} % of these logs; if it "
+                "is sound, its model is wrong: record more logs, of all kinds of duty"
+            )
     return out
 
 

@@ -91,7 +91,9 @@ TESTS = {
     "estimators/thermal/gaussian_mixture.c": ("tests/unit/test_sigma_mixed.py",),
     "estimators/thermal/sigma_mixed.c": ("tests/unit/test_sigma_mixed.py",),
     "estimators/thermal/model.c": ("tests/unit/test_thermal_reference.py",),
-    "estimators/thermal/step_detector.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/step_detector.c": (
+        "tests/unit/test_thermal_reference.py", "tests/unit/test_residuals_reference.py",
+    ),
     "estimators/thermal/peers.c": ("tests/unit/test_thermal_reference.py",),
     "estimators/thermal/hypotheses.c": ("tests/unit/test_thermal_reference.py",),
     "estimators/thermal/imm.c": IMM,

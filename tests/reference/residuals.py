@@ -1,4 +1,4 @@
-"""Residuals of one motor in NumPy, which `estimators/thermal/residuals.c` is compared with.
+"""Residuals of the motors in NumPy, which `estimators/thermal/residuals.c` is compared with.
 
 The model's step has a law of its own (`test_a_step_is_backward_euler`); here it is the product's.
 """
@@ -46,8 +46,9 @@ class Motor:
             step_detector.start(state)
 
     def add(self, k, reading, square, speed, air, cut_out=False):
-        """The k-th sample of a block: residuals (3,) K with and without steps."""
-        c, p, nothing = self.config, self.p, np.full(3, np.nan)
+        """The k-th sample of a block: residuals (3,) K; `less_steps` of all motors follows."""
+        c, p, self.raw = self.config, self.p, np.full(3, np.nan)
+        self.runs = False
         since = c.dt_s + self.unknown_s
         known = bool(np.isfinite([square, speed, air]).all())
         self.unknown_s = 0.0 if known else since
@@ -55,10 +56,10 @@ class Motor:
         if self.lost:
             self.reset()
         if self.lost or not known:
-            return nothing, nothing
+            return
         if self.lumps is None:
             if not np.isfinite(reading).any():
-                return nothing, nothing
+                return
             self.lumps, since = start(p, speed, air, reading - self.centre), c.dt_s
             self.span = self.lumps[0] - self.lumps[2]
         step(p, square, speed, air, np.zeros(5), since, self.lumps)
@@ -66,15 +67,23 @@ class Motor:
         copper = p[model.A] * square * (1.0 + 0.0039 * (self.lumps[0] - 60.0))
         sums = square, speed, (p[model.H_0] + p[model.H_1] * speed) * rise, copper, rise, 1.0
         self.half[int(k >= c.block / 2)] += sums
-        raw = reading - p[model.OFFSETS] - self.centre - self.lumps[list(model.MEASURED)]
-        return raw, np.array([self._less_step(*pair) for pair in enumerate(raw)])
+        self.runs = True
+        self.raw = reading - p[model.OFFSETS] - self.centre - self.lumps[list(model.MEASURED)]
+        self.window = np.column_stack([self.window[:, 1:], self.raw])
 
-    def _less_step(self, q, residual):
-        c, state = self.config, self.steps[q]
-        if c.step_k > 0.0:
-            self.window[q] = *self.window[q, 1:], residual
-            step_detector.one(
-                self.window[q], state, c.before, c.after, c.step_k, c.back_k, c.drift_k
-            )
-        settled = state[step_detector.SINCE] < 0
-        return residual - state[step_detector.OFF] if settled else np.nan
+
+def less_steps(motors):
+    """(M, 3) K: the residuals of the last sample of every motor without steps."""
+    out = np.full((len(motors), 3), np.nan)
+    for q in range(3):
+        windows = [motor.window[q] for motor in motors]
+        for m, motor in enumerate(motors):
+            c, state = motor.config, motor.steps[q]
+            if motor.runs and c.step_k > 0.0:
+                others = step_detector.others_jump(windows, m, c.before, c.after)
+                step_detector.one(
+                    windows[m], state, c.before, c.after, c.step_k, c.back_k, c.drift_k, others
+                )
+            if motor.runs and state[step_detector.SINCE] < 0:
+                out[m, q] = motor.raw[q] - state[step_detector.OFF]
+    return out

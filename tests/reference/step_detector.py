@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,24 +55,38 @@ def _jump(x: Array, before: int, after: int, level: float) -> float:
     return straight if abs(straight) < abs(bent) else bent
 
 
+def others_jump(windows: Sequence[Array], m: int, before: int, after: int) -> float:
+    """Median jump of the sensors beside the m-th; 0 if none shows one."""
+    found = [_jump(x, before, after, math.nan) for k, x in enumerate(windows) if k != m]
+    found = [moved for moved in found if math.isfinite(moved)]
+    return float(np.median(found)) if found else 0.0
+
+
 def start(state: Array) -> None:
     """A sensor that nothing is known of, state (5,) in place."""
     state[OFF], state[LEVEL], state[HOME], state[SINCE], state[OLD] = 0.0, math.nan, math.nan, -1, 0
 
 
 def one(
-    x: Array, state: Array, before: int, after: int, step: float, back: float, follows: float
+    x: Array,
+    state: Array,
+    before: int,
+    after: int,
+    step: float,
+    back: float,
+    follows: float,
+    others: float = 0.0,
 ) -> None:
     """One more sample: x, the latest before + after + settled of a sensor's residuals; state (5,).
 
     step, back: see `steps`; follows: K per sample that the level of a sensor without offset may
-    change by.
+    change by; others: K by which the other motors' sensors have jumped.
     """
     size, settled = len(x), len(x) - before - after
     if state[SINCE] >= 0.0:
         state[SINCE] += 1.0
         if state[SINCE] >= settled:
-            moved = _jump(x, before, after, state[LEVEL])
+            moved = _jump(x, before, after, state[LEVEL]) - others
             if abs(moved) > 0.8 * step:
                 state[OFF] += moved
                 if abs(state[OFF]) < back:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimators.thermal.model import TYPICAL, Inputs, predict
-from estimators.thermal.monitor import Coverage, Known
+from estimators.thermal.monitor import MOST_FALSE, Coverage, Known
 from estimators.thermal.record import Record
 from gateway.mapping.command_fit import Commanded, fell_alone, repeats_torque
 from gateway.study.calibrating import Learner, Sample
@@ -52,10 +52,16 @@ def test_a_motor_that_drifts_away_later_is_named(record):
 
 def test_how_far_the_filters_hold_is_printed_and_who_will_be_unknown():
     covered = np.array([(0.951, 0.9), (0.97, 0.5)])
-    text = filter_lines(Coverage(np.array([1.0, 1.5]), covered, np.zeros(2)), NODES)
+    text = filter_lines(Coverage(np.array([1.0, 1.5]), covered, np.zeros(2), np.zeros(2)), NODES)
     assert "drive 4: filters widened 1.00 times" in text[0]
     assert "95 % of the blocks with low and 90 %" in text[0]
-    assert "drive 7 will be Unknown with reason Config" in text[-1]
+    assert "drive 7 will be Unknown with reason Config: the filters do not fit it" in text[-1]
+    false = filter_lines(
+        Coverage(np.ones(2), np.full((2, 2), 0.95), np.zeros(2), np.array([0.25, MOST_FALSE])),
+        NODES,
+    )
+    assert "drive 4 will be Unknown with reason Config: it seems faulty for 25 %" in false[-1]
+    assert "drive 7 will be" not in "".join(false)
 
 
 def test_a_sensor_that_is_not_there_is_not_judged(record, tmp_path):

@@ -174,7 +174,7 @@ def test_what_was_learnt_is_stored_whole_and_edits_are_refused(tmp_path):
     fleet = measured.heat.model_copy(update={"own_k": 0.16})
     path.write_text(to_toml(measured.model_copy(update={"heat": fleet})))
     assert calibration.load(path, NODES, 5.0).known(NODES).own_k == 0.16
-    found = {"inflation": 1.25, "covered": (0.9, 0.75), "lag_one": -0.1}
+    found = {"inflation": 1.25, "covered": (0.9, 0.75), "lag_one": -0.1, "false_share": 0.01}
     motor = tuple(m.model_copy(update={"heat": m.heat.model_copy(update=found)})
                   if m.node == 3 else m for m in measured.motor)  # fmt: skip
     path.write_text(to_toml(measured.model_copy(update={"motor": motor})))
@@ -182,6 +182,7 @@ def test_what_was_learnt_is_stored_whole_and_edits_are_refused(tmp_path):
     assert coverage.inflation.tolist() == [1.25, 1.0]
     np.testing.assert_array_equal(coverage.covered, [(0.9, 0.75), (np.nan, np.nan)])
     assert coverage.unexplained.tolist() == [True, False]
+    assert coverage.false_share.tolist() == [0.01, 0.0]
     path.write_text(to_toml(cells()))
     path.write_text(path.read_text().replace("scale = 1.5", "scale = 1.6"))
     with pytest.raises(ConfigError, match="checksum"):

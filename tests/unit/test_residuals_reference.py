@@ -11,7 +11,7 @@ from dbc.records import pointer
 from estimators.thermal import model, step_detector
 from estimators.thermal.monitor import Known, ThermalMonitor
 from tests import thermal_core as core
-from tests.reference.residuals import Motor
+from tests.reference.residuals import Motor, less_steps
 
 MOTORS, GAP_S, BLOCK = 3, 20.0, 15
 SUMS = "current_square", "speed", "cooling", "copper", "rise", "count"
@@ -55,22 +55,23 @@ def test_residuals_equal_the_reference(seed, tested):
     rng = np.random.default_rng(seed)
     monitor, plain = train(rng, tested)
     own, met = monitor.motors, set()
-    config, known = pointer("struct thermal_config", monitor.config), monitor.known_motors
     fresh = core.started(monitor.config["imm"])["cov"][0, :, model.CORE, model.CORE]
     for n, (reading, given) in enumerate(zip(*weather(rng, 300), strict=True)):
         k, inputs = n % BLOCK, np.empty(MOTORS, records.THERMAL_INPUT)
         inputs["current_square"], inputs["speed"], inputs["ambient"] = given
         current = monitor.currents
         current["cut_out"] = np.arange(MOTORS) == n // 45 - 1
+        monitor.record["position"] = k
         lib.thermal_add_sample(
-            config, pointer("struct thermal_motor_config", known),
-            pointer("struct motor_current", current), pointer("struct thermal_motor", own), MOTORS,
-            k, pointer("double", reading.copy()), pointer("struct thermal_input", inputs),
+            monitor.pointer, pointer("double", reading.copy()),
+            pointer("struct thermal_input", inputs),
         )  # fmt: skip
         for m, one in enumerate(plain):
-            raw, less_steps = one.add(k, reading[m], *given[:, m], bool(current["cut_out"][m]))
-            np.testing.assert_allclose(own["raw"][m, :, k], raw, atol=1e-9)
-            np.testing.assert_allclose(own["block"][m, :, k], less_steps, atol=1e-9)
+            one.add(k, reading[m], *given[:, m], bool(current["cut_out"][m]))
+        without = less_steps(plain)
+        for m, one in enumerate(plain):
+            np.testing.assert_allclose(own["raw"][m, :, k], one.raw, atol=1e-9)
+            np.testing.assert_allclose(own["block"][m, :, k], without[m], atol=1e-9)
             np.testing.assert_allclose(
                 np.array([own["half"][name][m] for name in SUMS]).T, one.half, rtol=1e-9
             )
@@ -79,17 +80,17 @@ def test_residuals_equal_the_reference(seed, tested):
             assert (own["unknown_s"][m], own["started"][m], own["lost"][m]) == (
                 one.unknown_s, one.lumps is not None, one.lost,
             )  # fmt: skip
-            met.add((bool(one.lost), bool(np.isnan(less_steps[np.isfinite(raw)]).any())))
+            met.add((bool(one.lost), bool(np.isnan(without[m, np.isfinite(one.raw)]).any())))
     assert met == {(False, False), (True, False), *([(False, True)] if tested else [])}
 
 
 def test_of_a_motor_that_is_reset_nothing_is_known():
-    """But whether its inputs are, and whether it was compared with."""
+    """But whether its inputs are, and what others are compared with."""
     monitor, _ = train(np.random.default_rng(1), tested=True)
     own = monitor.motors[:1].copy()
     fresh = own.copy()
     own.view(np.uint8)[:] = 1
-    kept = {name: own[name] for name in ("unknown_s", "trusted", "lost")}
+    kept = {name: own[name] for name in ("unknown_s", "trusted", "lost", "compared_k", "absent_s")}
     for name, value in kept.items():
         fresh[name] = value
     for name in ("middle_k", "off_k", "window", "block", "raw"):

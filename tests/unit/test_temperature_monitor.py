@@ -164,6 +164,30 @@ def test_it_equals_the_reference_and_a_recording_is_as_good_as_frames(method, se
     assert current == driven | {(0, True, True), (0, False, True)}
 
 
+@pytest.mark.parametrize("coolest", [0, 1])
+@pytest.mark.parametrize("point", range(3))
+@pytest.mark.parametrize(("below_k", "stays"), [(5.2, True), (5.0, False), (4.8, False)])
+def test_a_motor_that_was_cut_out_waits_until_it_is_as_warm_as_the_coolest(
+    coolest, point, below_k, stays
+):
+    """At each point, less the limit of 5 K; motors that are left out, or none of the train's, are
+    no measure."""
+    side = TemperatureMonitor(5, 100 * MS, 0.1, None, (1, 2, 3, 4, 5))
+    side.record["drive_count"], side.record["window"]["apart_k"] = 4, 5.0
+    side.motors["left_out"][2:4] = 1
+    levels = np.full((5, 3), 50.0)
+    levels[coolest, point], levels[2, point] = 45.0, 45.0 - below_k
+    levels[3:] = 20.0
+    side.window.known[4], side.window.centred[4] = True, 20.0
+    for k in range(3):
+        side.add_readings(
+            [Temperatures(j, k * 100 * MS, (*row, 20.0), (True,) * 4, (0, k, k, k))
+             for j, row in enumerate(levels.tolist()[:4])], k * 100 * MS,
+        )  # fmt: skip
+    assert side.motors["left_out"].tolist() == [0, 0, stays, 1, 0]
+    assert side.window.compared[:4].all(axis=1).tolist() == [True, True, not stays, False]
+
+
 def test_a_copy_goes_on_by_itself():
     side, bus, _ = made("model", 5)
     inputs = np.zeros(3, FLAG_INPUTS)
@@ -227,6 +251,40 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
     assert Reason.CONFIG in {reason for _, _, reason, *_ in met}
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_evidence_by_comparison_in_any_state_equals_the_reference(seed):
+    rng = np.random.default_rng(seed)
+    side, bus, plain = made("maisd", 3, [FITTED[0]] * 3)
+    inputs, met, sensor = np.zeros(3, FLAG_INPUTS), set(), side.sensors.drives["sensor"]
+    while not_yet_valid(side.sensors, 0) or bus.tick < 100:
+        bus.go_on()
+        bus.lost[:], bus.off[:], bus.gone[:], bus.held[:] = False, 0.0, False, False
+        side.hear(bus.inbox, bus.now, inputs)
+    for _ in range(500):
+        side.motors["left_out"] = plain.left_out = rng.random(3) < 0.1
+        side.currents["cut_out"] = plain.cut_out = plain.left_out & (rng.random(3) < 0.5)
+        side.window.known[:] = plain.known = rng.random((3, 3)) < 0.97
+        side.window.compared[:] = plain.known & ~plain.left_out[:, None]
+        side.window.deviation[:] = rng.choice([0.0, 50.0, np.nan], (3, 3), p=[0.6, 0.37, 0.03])
+        side.spread[:] = rng.choice([0.0, 40.0, 50.0, np.nan], 3, p=[0.2, 0.3, 0.4, 0.1])
+        plain.deviation, plain.spread = side.window.deviation.copy(), side.spread.copy()
+        sensor["moved"], sensor["near"] = rng.random((3, 3)) < 0.7, rng.random((3, 3)) < 0.5
+        plain.averages = side.window.mean.copy()
+        for k in range(3):
+            side.motors["valid_until_ns"] = NEVER
+            told, wanted = side.report(k, bus.now, 1 << 60), plain._judge(k, bus.now)
+            assert tuple(told[:5]) == wanted[:5]
+            assert repr(told[6]) == repr(None if np.isnan(wanted[6]) else float(wanted[6]))
+            met.add(told[:5])
+    assert {
+        Reason.CONFIG,
+        Reason.STARTING,
+        Reason.DIVERGED,
+        Reason.TOO_FEW_DRIVES,
+        Reason.NONE,
+    } == {reason for _, _, reason, *_ in met}
+
+
 def test_a_step_of_a_sensor_is_a_jump_and_blocks_are_observed():
     side, bus, _ = made("model", 3, [FITTED[0]] * 3)
     inputs, model, trend = np.zeros(3, FLAG_INPUTS), side.model, Trend(3)
@@ -277,6 +335,7 @@ def test_a_motor_is_stale_from_the_first_nanosecond_beyond_its_limit():
     side.motors["age_limit_ns"] = 50 * MS
     side.add_readings([Temperatures(0, 0, (50.0,) * 4, (True,) * 4, (500,) * 4)], 0)
     for now, reason in ((0, Reason.CONFIG), (50 * MS, Reason.CONFIG), (50 * MS + 1, Reason.STALE)):
+        side.record["dirty"] = 1
         side.tell(now, out)
         assert out["thermal_reason"][0] == reason
 

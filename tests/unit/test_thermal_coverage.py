@@ -8,7 +8,7 @@ from dbc.records import pointer
 from estimators.thermal import coverage
 from estimators.thermal import model_method as method
 from estimators.thermal.model_method import followed
-from estimators.thermal.monitor import Coverage, ThermalMonitor
+from estimators.thermal.monitor import MOST_FALSE, Coverage, ThermalMonitor
 from tests.unit.test_thermal_monitor_order import FLEET, MOTORS, K, known, through, train
 
 __all__ = ["known"]
@@ -32,7 +32,7 @@ def blocks(known, record):
 
 def changed(known, **parts):
     """With a coverage in which all motors are well explained, but for these parts."""
-    fine = Coverage(np.ones(MOTORS), np.full((MOTORS, 2), 0.95), np.zeros(MOTORS))
+    fine = Coverage(np.ones(MOTORS), np.full((MOTORS, 2), 0.95), np.zeros(MOTORS), np.zeros(MOTORS))
     return known._replace(coverage=fine._replace(**parts))
 
 
@@ -76,6 +76,18 @@ def test_a_motor_that_spreads_more_than_expected_is_inflated_and_at_last_not_jud
         found = method.learn(FLEET, [healthy[0], last._replace(temperature=temperature)]).coverage
         assert found.inflation[2] > 1.1 * np.delete(found.inflation, 2).max()
         assert found.unexplained.tolist() == [False, False, unexplained, False]
+
+
+def test_a_motor_that_seems_faulty_in_its_own_calibration_is_not_judged(healthy):
+    """In its first run: the last one, from which the filters learn, is as the others'."""
+    first = healthy[0]
+    temperature = first.temperature.copy()
+    temperature[len(temperature) // 2 :, 2, 1] += 5.0
+    for run, faulty in ((first, False), (first._replace(temperature=temperature), True)):
+        found = method.learn(FLEET, [run, healthy[-1]]).coverage
+        assert (found.false_share > MOST_FALSE).tolist() == [False, False, faulty, False]
+        assert found.unexplained.tolist() == [False, False, faulty, False]
+        assert not found.uncovered.any()
 
 
 def test_too_few_blocks_measure_nothing(known, healthy):

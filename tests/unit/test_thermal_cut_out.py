@@ -64,6 +64,18 @@ def test_of_its_share_it_is_not_cut_out_and_below_it_is(known):
     assert monitor.currents["cut_out"][ILL], "unknown, it stays what it was"
 
 
+def test_from_exactly_the_least_current_on_nothing_is_known_of_the_others(known):
+    """And only motors of the train are looked at."""
+    monitor, square = ThermalMonitor(known, 1.0), np.zeros(MOTORS)
+    monitor.config["cut_out"]["weight"], monitor.record["motor_count"] = 1.0, MOTORS - 1
+    for more, out in ((1.0, False), (1.001, True)):
+        square[:1], square[-1] = more * monitor.config["cut_out"]["driven_square"], 4e4
+        monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+        wanted = [out and 0 < m < MOTORS - 1 for m in range(MOTORS)]
+        assert monitor.currents["cut_out"].tolist() == wanted
+        assert monitor.currents["square"][-1] == 0.0
+
+
 def test_of_many_that_are_cut_out_none_is_judged(known):
     """Not even where they are the most."""
     monitor, square = ThermalMonitor(known, 1.0), np.zeros(MOTORS)

@@ -243,13 +243,13 @@ def test_a_level_that_drifts_is_followed():
     assert sum(closed(drift)) == pytest.approx(evidence(0, 320))
 
 
-def test_without_readings_a_block_says_nothing_and_with_a_third_it_has_a_median():
+def test_without_readings_a_block_says_nothing_and_with_half_of_them_it_has_a_median():
     blocks = np.full((3, 16), np.nan)
     blocks[1, 7] = 1.0
     np.testing.assert_array_equal(closed(blocks), [np.nan, np.nan, np.nan])
     one = train(1)
     one.config["block"] = 15
-    for readings, median in ((5, 2.0), (4, np.nan)):
+    for readings, median in ((8, 2.0), (7, np.nan)):
         one.motors["block"][0, 0, :readings], one.motors["block"][0, 0, readings:] = 2.0, np.nan
         one.close_block()
         np.testing.assert_equal(one.motors["middle_k"][0, 0], median)
@@ -269,6 +269,63 @@ def test_who_is_compared_with_others_than_before_may_stand_as_much_elsewhere():
         got = fleet.motors["imm"]["cov"][m] - before[m]
         np.testing.assert_allclose(got, np.tile(np.diag(want), (imm.MODES, 1, 1)), atol=1e-9)
         assert want.any() == (m < 3)
+
+
+def levels():
+    """Four motors in their first block, each off its model in its own way; (4, 3) K by how far."""
+    fleet, level = train(4), np.random.default_rng(6).standard_normal((4, 3))
+    fleet.motors["block"][:, :, :16] = level[:, :, None]
+    fleet.close_block()
+    fleet.motors["judged"] = 1
+    return fleet, level
+
+
+def test_while_a_sensor_is_tested_for_a_step_the_others_are_compared_with_its_last_value():
+    fleet, _ = levels()
+    off, cov = fleet.motors["off_k"].copy(), fleet.motors["imm"]["cov"].copy()
+    fleet.motors["step"]["since"][3, 0] = 0
+    fleet.motors["block"][3, 0] = np.nan
+    for _ in range(int(60 // DT)):
+        fleet.close_block()
+        np.testing.assert_array_equal(fleet.motors["off_k"][:3], off[:3])
+        np.testing.assert_array_equal(fleet.motors["off_k"][3], [np.nan, *off[3, 1:]])
+        np.testing.assert_array_equal(fleet.motors["imm"]["cov"], cov)
+    fleet.close_block()
+    assert (fleet.motors["off_k"][:3, 0] != off[:3, 0]).all(), "it has been away for too long"
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_beside_a_sensor_that_goes_or_comes_the_others_may_stand_elsewhere(returns):
+    fleet, level = levels()
+    values = fleet.motors["block"][3, 0].copy()
+    before = fleet.motors["imm"]["cov"].copy()
+    fleet.motors["block"][3, 0] = np.nan
+    fleet.close_block()
+    if returns:
+        before, fleet.motors["block"][3, 0] = fleet.motors["imm"]["cov"].copy(), values
+        fleet.close_block()
+    winding = model.MEASURED[0]
+    for m in range(3):
+        every = [n for n in range(4) if n != m]
+        shift = np.median(level[every, 0]) - np.median(level[[n for n in every if n < 3], 0])
+        got = fleet.motors["imm"]["cov"][m] - before[m]
+        want = np.zeros((12, 12))
+        want[winding, winding] = shift**2
+        np.testing.assert_allclose(got, np.tile(want, (imm.MODES, 1, 1)), atol=1e-9)
+
+
+def test_beside_a_motor_that_has_started_anew_the_others_may_stand_elsewhere():
+    fleet, level = levels()
+    before = fleet.motors["imm"]["cov"].copy()
+    fleet.motors["judged"][3] = 0
+    fleet.motors["block"][3, 0, :16] = level[3, 0] + 9.0
+    fleet.close_block()
+    changed = np.array([*level[:3, 0], level[3, 0] + 9.0])
+    for m in range(3):
+        every = [n for n in range(4) if n != m]
+        shift = np.median(changed[every]) - np.median(level[every, 0])
+        got = fleet.motors["imm"]["cov"][m, 0] - before[m, 0]
+        assert got[model.MEASURED[0], model.MEASURED[0]] == pytest.approx(shift**2)
 
 
 def surroundings(one, sums):

@@ -110,6 +110,27 @@ def test_a_step_behind_a_gap_of_any_length_equals_the_reference():
     assert met == {False, True}
 
 
+@pytest.mark.parametrize(
+    ("then", "later", "offset"),
+    [
+        (1.5, 1.5, 0.0),
+        (3.0, 0.8 * 1.5, 0.0),
+        (3.0, 1.0, 1.0),
+    ],
+)
+def test_exactly_on_a_limit_it_equals_the_reference(then, later, offset):
+    """A step of 1.5 K is none, nor is one that settles at 0.8 of it; an offset of 1 K is one."""
+    found, x = step_detector.config(1.0)[0], np.zeros((300, 1))
+    x[100:105], x[105:] = then, later
+    if offset:
+        x[105:200] = then
+    want = np.zeros_like(x)
+    counts = np.array([found["before"], found["after"], found["settled"]])
+    reference_steps.follow(x, counts, 1.5, 1.0, 0.1, want)
+    np.testing.assert_array_equal(offsets(x[:, :, None], 1.0)[:, :, 0], want)
+    assert want[-1, 0] == offset
+
+
 def test_behind_the_last_sample_nothing_is_written():
     x, out = np.zeros(50), np.full(50, 7.0)
     config = pointer("struct step_config", step_detector.config(1.0))

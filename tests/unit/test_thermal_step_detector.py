@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from dbc.codec import bind
+from estimators.thermal import model, step_detector
+from estimators.thermal.monitor import Known, ThermalMonitor
 from gateway.core.codes import FaultClass
 from gateway.hil.bench import run_virtual
 from gateway.hil.fitting import scenario_thermal
@@ -28,6 +30,40 @@ def test_a_step_is_found_with_its_size_and_its_return(size):
     assert not off[:400].any()
     assert off[400 + WITHIN : 800] == pytest.approx(size, abs=0.4)
     assert not off[800 + WITHIN :].any()
+
+
+def stepped(motors, steps, noise_k=NOISE_K):
+    """(M, 3) K: offsets of sensors that step by `steps` (M,) K at the ends, after 200 of 300 s."""
+    duty, flat = np.array([200.0, 2e4, 0.03, 0.08]), np.zeros((motors, 3))
+    parameters = np.tile(model.TYPICAL, (motors, 1))
+    one = ThermalMonitor(Known(parameters, flat, flat + noise_k, 1.0, duty), 1.0)
+    rng = np.random.default_rng(3)
+    nothing = np.zeros(motors)
+    for k in range(300):
+        reading = 20.0 + noise_k * rng.standard_normal((motors, 3))
+        reading[:, 1:] += np.where(k >= 200, steps, 0.0)[:, None]
+        one.add_sample(reading, nothing, nothing, nothing + 20.0)
+    return one.offsets
+
+
+def test_what_all_sensors_show_is_no_step():
+    """But what one shows beyond the others is; alone it has none to compare with."""
+    assert not stepped(4, np.full(4, 4.0)).any()
+    off = stepped(4, np.array([4.0, 4.0, 9.0, 4.0]))
+    assert off[2, 1:] == pytest.approx(5.0, abs=0.6)
+    assert not np.delete(off, 2, axis=0).any()
+    assert stepped(1, np.array([4.0]))[0, 1:] == pytest.approx(4.0, abs=0.6)
+    two = stepped(2, np.array([4.0, 0.0]))
+    assert two[0, 1:] == pytest.approx(4.0, abs=0.6)
+    assert not two[1].any(), "the one that stands is not accused"
+
+
+def test_of_noisy_sensors_a_step_is_larger():
+    """2 K: eight times the noise of a median for readings with 0.25 K, but not for 0.5 K."""
+    assert stepped(3, np.array([2.0, 0.0, 0.0]))[0, 1:] == pytest.approx(2.0, abs=0.6)
+    assert not stepped(3, np.array([2.0, 0.0, 0.0]), noise_k=0.5).any()
+    config = step_detector.config(1.0, noise_k=0.5)
+    assert config["step_k"].item() == 3.0
 
 
 def test_ten_times_the_rate_is_the_same_sensor():
