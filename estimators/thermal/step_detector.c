@@ -86,6 +86,12 @@ void step_reset(struct step_state *state)
     *state = (struct step_state){.level_k = NAN, .home_k = NAN, .since = -1};
 }
 
+/* A jump less that of the others, which may explain it but makes none. */
+static double less_others(double moved, double others)
+{
+    return moved - clamp(others, smaller(moved, 0.0), larger(moved, 0.0));
+}
+
 /* A step was seen `since` samples ago: measure it when it has settled. */
 static void settle(const struct step_config *config, struct step_state *state, const double *x,
                    double others)
@@ -94,7 +100,7 @@ static void settle(const struct step_config *config, struct step_state *state, c
     state->since += 1;
     if (!due)
         return;
-    const double moved = jump(config, x, state->level_k) - others;
+    const double moved = less_others(jump(config, x, state->level_k), others);
     if (fabs(moved) > 0.8 * config->step_k) {
         state->offset_k += moved;
         if (fabs(state->offset_k) < config->back_k)

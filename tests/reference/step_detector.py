@@ -86,7 +86,10 @@ def one(
     if state[SINCE] >= 0.0:
         state[SINCE] += 1.0
         if state[SINCE] >= settled:
-            moved = _jump(x, before, after, state[LEVEL]) - others
+            moved = _jump(x, before, after, state[LEVEL])
+            # What the others show may explain a jump, but makes none.
+            if moved * others > 0.0:
+                moved -= math.copysign(min(abs(moved), abs(others)), moved)
             if abs(moved) > 0.8 * step:
                 state[OFF] += moved
                 if abs(state[OFF]) < back:

@@ -56,6 +56,10 @@ def test_what_all_sensors_show_is_no_step():
     two = stepped(2, np.array([4.0, 0.0]))
     assert two[0, 1:] == pytest.approx(4.0, abs=0.6)
     assert not two[1].any(), "the one that stands is not accused"
+    apart = stepped(2, np.array([4.0, -9.0]))
+    assert apart[0, 1:] == pytest.approx(4.0, abs=0.6), "a step the other way explains nothing"
+    more = stepped(3, np.array([4.0, 9.0, 9.0]))
+    assert not more[0].any(), "a larger one explains it, and makes none the other way"
 
 
 def test_of_noisy_sensors_a_step_is_larger():
