@@ -95,7 +95,7 @@ RAISE: Final = 0.9
 LEAST_COVERED: Final = 0.8
 """Least share of held-back blocks in the 95 % band; a motor with less gets `Reason` Config."""
 MOST_FALSE: Final = 0.03
-"""Largest share of the calibration's own time in which a fault is reported; above it: the same."""
+"""A motor that is reported as faulty for a larger share of its own calibration gets it as well."""
 LOOSE_SHARE, GOOD_SHARE = 0.04, 1e-6
 """Share of readings that are far off, from a loose and from a good connector."""
 FAR_SIGMA, FAR_K = 6.0, 3.0

@@ -12,7 +12,8 @@ struct thermal_evidence no_evidence(uint8_t reason);
 void judge_temperatures(const struct temperature_monitor *all, int j, int64_t now_ns,
                         struct thermal_evidence *out);
 
-/* Feed a complete second to the thermal model: its monitor, steps and trends. */
+/* Feed a complete second to the thermal model: its monitor, steps and trends. Without a model, find
+ * the motors that are cut out, which otherwise the monitor does. */
 void add_thermal_second(struct temperature_monitor *all);
 
 #endif
