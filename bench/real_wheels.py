@@ -139,17 +139,18 @@ def drives_straight(run: Run) -> NDArray[np.bool_]:
     return np.asarray((slower > TURNS_RAD_S) & (faster - slower <= STRAIGHT * faster))
 
 
+def terrain_line(name: str) -> str:
+    """The row of one recording of the vehicle in docs/real_wheels.md."""
+    run = terrain()[name]
+    flags, straight = judge(run, TERRAIN_A), drives_straight(run)
+    seconds = np.count_nonzero(straight) / 100.0
+    return f"| {name} | {seconds:.0f} s | {shares(flags[straight].ravel())} |"
+
+
 def terrain_lines() -> list[str]:
     """The table of the vehicle in docs/real_wheels.md."""
-    out = [
-        "| recording | straight | lost % | adhering % | unknown % |",
-        "| --- | --- | --- | --- | --- |",
-    ]
-    for name, run in terrain().items():
-        flags, straight = judge(run, TERRAIN_A), drives_straight(run)
-        seconds = np.count_nonzero(straight) / 100.0
-        out.append(f"| {name} | {seconds:.0f} s | {shares(flags[straight].ravel())} |")
-    return out
+    header = "| recording | straight | lost % | adhering % | unknown % |"
+    return [header, "| --- | --- | --- | --- | --- |", *map(terrain_line, terrain())]
 
 
 def _phasors(theta: Array, i_q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

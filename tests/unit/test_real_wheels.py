@@ -1,9 +1,20 @@
 """Recordings of a robot's wheels: what docs/real_wheels.md says of them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from bench.real_wheels import SKIP_S, drives_straight, groups, judge, on_drag, runs, terrain
+from bench.real_wheels import (
+    SKIP_S,
+    drives_straight,
+    groups,
+    judge,
+    on_drag,
+    runs,
+    terrain,
+    terrain_line,
+)
 from gateway.core.codes import Flag
 
 UNLIKE = ("table_exp28", "table_exp40")
@@ -57,3 +68,8 @@ def test_what_is_in_the_recordings_of_the_vehicle():
     at = np.searchsorted(run.t_s, 0.01 * np.flatnonzero(straight)) - 1
     left, right = run.current[at].T
     assert 0.5 < np.median(left) / np.median(right) < 0.7
+
+
+def test_the_documented_flags_of_the_vehicle():
+    page = (Path(__file__).parents[2] / "docs" / "real_wheels.md").read_text().splitlines()
+    assert terrain_line("ASPHALT_pro_00") in page
