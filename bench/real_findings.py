@@ -120,6 +120,13 @@ def holds() -> list[float]:
     return longest
 
 
+def deviations(said: Said) -> str:
+    """Smallest and largest deviation of each motor, K: a cell of docs/real_temperatures.md."""
+    lowest, highest = np.nanmin(said.deviation_k, axis=0), np.nanmax(said.deviation_k, axis=0)
+    pairs = zip(lowest, highest, strict=True)
+    return ", ".join(f"{low:.1f}..{high:.1f}".replace("-0.0", "0.0") for low, high in pairs)
+
+
 def inverter_lines() -> Iterator[str]:
     for t_s in (60.0, 100.0, LEARNT_S, 300.0, 400.0):
         cells = learn_inverter(t_s)
@@ -134,17 +141,8 @@ def inverter_lines() -> Iterator[str]:
             yield f"  {name}: hot {'; '.join(hot) or 'nothing'}"
     cells = to_accuracy(learn_inverter())
     for label, said in judged(cells).items():
-        each = [
-            f"{name} {low:+.1f}..{high:+.1f}"
-            for name, low, high in zip(
-                BRIDGES,
-                np.nanmin(said.deviation_k, axis=0),
-                np.nanmax(said.deviation_k, axis=0),
-                strict=True,
-            )
-        ]
         bad = first(said, (said.thermal == Flag.BAD).any(axis=1))
-        yield f"  {label}: deviation K {', '.join(each)}; bad from {bad}; {_named(said, BRIDGES)}"
+        yield f"  {label}: deviation K {deviations(said)}; bad from {bad}; {_named(said, BRIDGES)}"
         jump_k = np.nanmax(np.abs(np.diff(said.celsius, axis=0)))
         below = (said.thermal == Flag.BAD) & (said.kind == FaultClass.NONE)
         at = said.t_s[below.any(axis=1)]

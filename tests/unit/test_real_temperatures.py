@@ -1,9 +1,19 @@
 """Recordings made by others through the thermal side: dead sensors, hot bridges, power-up."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from bench.real_findings import FROZEN_S, POWER_UP_S, frozen_bridge, hot_bridges, judged, kinds
+from bench.real_findings import (
+    FROZEN_S,
+    POWER_UP_S,
+    deviations,
+    frozen_bridge,
+    hot_bridges,
+    judged,
+    kinds,
+)
 from bench.real_recordings import (
     BRIDGES,
     HALF_BRIDGES,
@@ -24,6 +34,7 @@ from dbc.frame import SECOND
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.settings.calibration import POINTS
 
+PAGE = Path(__file__).parents[2] / "docs" / "real_temperatures.md"
 ROLL = JOINTS.index("ankle_roll")
 PITCH = JOINTS.index("ankle_pitch")
 
@@ -109,6 +120,8 @@ def test_the_hot_half_bridge_is_named_and_the_others_are_silent(bridges, label):
     said = bridges[label]
     assert hot_bridges(said) == ([hot] if hot else [])
     assert not (said.sensor == Flag.BAD).any()
+    rows = [line.split(" | ")[:2] for line in PAGE.read_text().splitlines()]
+    assert [cell for head, *cell in rows if head.startswith(f"| {label} ")] == [[deviations(said)]]
     for k, name in enumerate(BRIDGES):
         wanted = Flag.BAD if name == hot else Flag.GOOD
         assert (said.thermal[said.t_s > 5.0, k] == wanted).mean() > 0.9
