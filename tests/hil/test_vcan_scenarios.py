@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 NAMES = tuple(name for name in builtin_names() if not name.startswith("calibration_"))
 """All that ship but the fault-free runs to calibrate from, which expect nothing."""
-QUICK = ("demo", "lossy_bus", "silent", "stuck_sensor")
+QUICK = ("demo", "lossy_bus", "silent")
 """For every change; `make test-all` has the others. Off the bus all are: `test_scenarios.py`."""
 
 
