@@ -124,8 +124,11 @@ def _value(entry: Entry, match: re.Match[str], kinds: dict[str, Kind]) -> Iterat
         return
     if why := _misfit(kind, value):
         yield Fault(entry, why, None)
-    elif name in _INDEXED and not 0 <= Decimal(text) < (count := _count(name, kind)):
-        yield Fault(entry, f"{text} is not an index of its {count} values (the first is 0)", None)
+    elif name in _INDEXED and kind.type_name in (*_NUMBERS, "ENUM"):
+        count = _count(name, kind)
+        if not 0 <= Decimal(text) < count:
+            why = f"{text} is not an index of its {count} values (the first is 0)"
+            yield Fault(entry, why, None)
     elif name in _AS_NUMBER and kind.type_name not in (*_NUMBERS, "ENUM"):
         yield Fault(entry, f"{name} is a number; it is defined as {kind.type_name}", None)
 

@@ -78,7 +78,7 @@ class Codec:
         spec = self.by_id.get(frame.can_id | (EXTENDED_KEY if flags & EXTENDED else 0))
         if spec is None:
             return Match.UNKNOWN_ID, None
-        if bool(flags & FD) != spec.is_fd:
+        if not spec.has_format(bool(flags & FD)):
             return Match.WRONG_FORMAT, spec
         if len(frame.data) != spec.length:
             return Match.WRONG_LENGTH, spec

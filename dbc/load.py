@@ -17,7 +17,7 @@ from dbc.contract import Contract
 from dbc.generate import recall
 from dbc.layout import duplicates, layout_faults, oversized
 from dbc.load_errors import explained, placed
-from dbc.message_spec import message_spec
+from dbc.message_spec import is_long, message_spec
 from dbc.spec import DbcMismatch, MessageSpec
 from dbc.text import decoded, read_bytes
 
@@ -104,8 +104,9 @@ def read(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
     if not problems:
         problems += refusal
     specs: list[MessageSpec] = []
+    long = any(map(is_long, messages))
     for message in messages:
-        spec, faults, unusable = message_spec(database, message, len(specs))
+        spec, faults, unusable = message_spec(database, message, len(specs), long=long)
         specs.append(spec)
         problems += faults + [f"{spec.name}.{name}: {why}" for name, why in unusable.items()]
         problems += (

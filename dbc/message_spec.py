@@ -23,16 +23,24 @@ _PRODUCED: Final = frozenset(
     for need in expected.CLASSIC.messages
     if need.direction is Direction.PRODUCED
 )
+_CLASSIC_BYTES: Final = 8
+_FD_BYTES: Final = 64
 _LONGEST_CYCLE_MS: Final = 3_600_000
 # A bound divided by the scale is off by a few ulp; raw bounds are whole numbers.
 _SLACK: Final = 1e-6
 
 
+def is_long(message: Message) -> bool:
+    """Whether only a CAN FD frame can carry a message: J1939 sends long ones in several frames."""
+    return message.protocol != "j1939" and _CLASSIC_BYTES < message.length <= _FD_BYTES
+
+
 def message_spec(
-    database: Database, message: Message, index: int
+    database: Database, message: Message, index: int, *, long: bool = False
 ) -> tuple[MessageSpec, list[str], dict[str, str]]:
     """The message; its faults; the signals that cannot be decoded, each with the reason.
 
+    long: other messages of the DBC have more than 8 bytes, so that the bus is CAN FD.
     The spec holds no faulty value: an impossible range is left out, such a cycle time is 0.
     """
     problems: list[str] = []
@@ -52,6 +60,8 @@ def message_spec(
     node = int(match[1] or 0) if match else 0
     kind = match[2] if match else message.name
     brs = attribute(database, message, "CANFD_BRS")
+    is_unsaid = attribute(database, message, "VFrameFormat") is None
+    is_fd = message.is_fd or (is_unsaid and is_long(message))
     cycle = message.cycle_time or 0
     if not isinstance(cycle, (int, float)) or not 0 <= cycle <= _LONGEST_CYCLE_MS:
         problems.append(f"{message.name}: GenMsgCycleTime {cycle!r} is not a time in ms")
@@ -61,9 +71,9 @@ def message_spec(
             name=message.name,
             can_id=message.frame_id,
             length=message.length,
-            is_fd=message.is_fd,
+            is_fd=is_fd,
             # If the attribute is not there, Vector's default is with bit rate switch.
-            brs=message.is_fd and str(1 if brs is None else brs) == "1",
+            brs=is_fd and str(1 if brs is None else brs) == "1",
             cycle_ns=round(cycle * 1_000_000),
             profile=profile,
             data_ids=ids,
@@ -73,6 +83,7 @@ def message_spec(
             kind=kind,
             is_extended=message.is_extended_frame,
             is_gateway=match is not None and (kind, node > 0) in _PRODUCED,
+            is_either=is_unsaid and long and not is_fd,
         ),
         problems,
         unusable,

@@ -139,6 +139,8 @@ class MessageSpec:
     is_extended: bool = False
     is_gateway: bool = False
     """Sent by the gateway itself."""
+    is_either: bool = False
+    """The DBC does not say whether its frames are CAN FD frames, and other messages must be."""
 
     @property
     def is_optional(self) -> bool:
@@ -149,6 +151,10 @@ class MessageSpec:
     def key(self) -> int:
         """Key in `Codec.by_id`: the id, with bit 31 set for 29-bit ids."""
         return self.can_id | (EXTENDED_KEY if self.is_extended else 0)
+
+    def has_format(self, fd: bool) -> bool:
+        """Whether the message may come in a CAN FD frame (`fd`), or in a classic one."""
+        return self.is_either or fd == self.is_fd
 
     def column(self, name: str) -> int:
         """Column of a signal in a decoded block. Raises KeyError."""

@@ -16,7 +16,7 @@ from dbc.culprits import load_rest
 from dbc.e2e import Profile
 from dbc.entries import Entries
 from dbc.layout import bits_of
-from dbc.message_spec import message_spec
+from dbc.message_spec import is_long, message_spec
 from dbc.spec import DbcMismatch, MessageSpec
 from dbc.text import decoded, read_bytes
 
@@ -34,10 +34,10 @@ def read_any_dbc(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
     notes = [str(left) for left in sorted(entries.left_out)]
     reasons = _Reasons(entries)
     specs: dict[tuple[int, bool], MessageSpec] = {}
-    for message in database.messages:
-        if not hasattr(message, "frame_id"):
-            continue
-        spec, faults, unusable = message_spec(database, message, 0)
+    messages = [message for message in database.messages if hasattr(message, "frame_id")]
+    long = any(map(is_long, messages))
+    for message in messages:
+        spec, faults, unusable = message_spec(database, message, 0, long=long)
         notes += [_placed(lines, f"{fault}; ignored") for fault in faults]
         known, listed = reasons.for_message(spec)
         spec, dropped = _usable(spec, known | unusable, listed)

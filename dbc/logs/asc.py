@@ -34,7 +34,7 @@ from dbc.logs.times import Differences
 
 _PLAIN: Final = (
     r"[ \t]*(-?\d+\.\d+)[ \t]+"
-    r"(\d{1,3}[ \t]+[0-9A-Fa-f]{1,10}[xX]?[ \t]+(?:[RT]x|TxRq)[ \t]+d[ \t]+[0-9A-Fa-f]{1,2})"
+    r"(\d{1,3}[ \t]+[0-9A-Fa-f]{1,10}[xX]?[ \t]+(?:[RT]x|TxRq)[ \t]+d[ \t]+0?[0-8])"
     r"(?![^ \t\n])((?:[ \t]+[0-9A-Fa-f]{1,3}(?![^ \t\n]))*).*"
 )
 _TIMED: Final = re.compile(r"(-?\d+(?:\.\d*)?)\s+(\S.*)")
@@ -47,6 +47,7 @@ _NAMED: Final = re.compile(
     r"^\s*[\d.-]+\s+\d+\s+([A-Za-z_]\w*)\s+(?:[RT]x|TxRq)\b.*\bID\s*=\s*(\d+)(x?)(?!\w)",
     re.I | re.M,
 )
+_BYTE: Final = re.compile(r"[0-9A-Fa-f]{1,3}")
 _DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
 _SHAPE: Final = shape_of(SECOND, 0, 5, "d", 3)
 """Channel, identifier, direction, `d`, length."""
@@ -123,15 +124,10 @@ class Asc(Format):
         found = self._numbers.get(name) or self._id(name)
         if found is None:
             return Head(0, verdict=Verdict.BAD_ID)
-        try:
-            dlc = int(length, self._base)
-        except ValueError:
+        if not length.isdecimal() or int(length) > CLASSIC_BYTES:
             return Head(0, verdict=Verdict.MALFORMED)
-        if dlc > MOST_DLC:
-            return Head(0, verdict=Verdict.BAD_LENGTH)
-        raw = dlc if dlc > CLASSIC_BYTES else -1
         number, flags = found[0], found[1] | _sent(direction)
-        return Head(number, flags, min(dlc, CLASSIC_BYTES), _channel(channel), raw, request)
+        return Head(number, flags, int(length), _channel(channel), -1, request)
 
     def _id(self, text: str) -> tuple[int, int] | None:
         digits = text.rstrip("xX")
@@ -207,12 +203,14 @@ class Asc(Format):
             return framed(head, t_ns, sure=sure and asked != "")
         if words[3].lower() != "d":
             return Line(Verdict.MALFORMED, None, t_ns)
-        dlc = int(words[4], self._base)
-        if dlc > MOST_DLC:
-            return Line(Verdict.BAD_LENGTH, None, t_ns)
-        size = min(dlc, CLASSIC_BYTES)
+        if size := _fd_size(words[4], words[5:]):
+            raw, flags = -1, flags | FD
+        else:
+            dlc = int(words[4], self._base)
+            if dlc > MOST_DLC:
+                return Line(Verdict.BAD_LENGTH, None, t_ns)
+            size, raw = min(dlc, CLASSIC_BYTES), dlc if dlc > CLASSIC_BYTES else -1
         data = self.data(" ".join(words[5 : 5 + size]), size)
-        raw = dlc if dlc > CLASSIC_BYTES else -1
         head = Head(number, flags, size, channel, raw)
         return framed(head, t_ns, data, sure=sure and self._base == 16)
 
@@ -251,6 +249,20 @@ def _fits(words: list[str], at: int) -> bool:
         return int(words[at + 1]) in (0, FD_SIZES[int(words[at], 16)])
     except (ValueError, IndexError):
         return False
+
+
+def _fd_size(code: str, words: list[str]) -> int:
+    """Length of a CAN FD frame that a converter has written as a classic one; 0 for any other.
+
+    The length code of such a frame is decimal or hexadecimal, whatever the base of the log.
+    """
+    for base in (10, 16):
+        dlc = int(code, base) if base == 16 or code.isdecimal() else 0
+        if CLASSIC_BYTES < dlc <= MOST_DLC:
+            size = FD_SIZES[dlc]
+            if sum(map(bool, map(_BYTE.fullmatch, words[:size]))) == size:
+                return size
+    return 0
 
 
 def _sent(direction: str) -> int:

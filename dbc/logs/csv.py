@@ -90,6 +90,7 @@ class Csv(Format):
         self.regex = _NOTHING
         self._head: list[str] = []
         self._unit_ns = 0
+        self._savvycan = False
         self._base64 = False
         self._split = False
         self._logger = False
@@ -122,7 +123,8 @@ class Csv(Format):
         self._logger = "type" in titles and set(titles) <= _LOGGER
         title = titles[kinds.index("time")]
         unit = _UNIT.search(title)
-        self._unit_ns = _UNITS_NS.get(unit[1], SECOND) if unit else 1000 * (title == "time stamp")
+        self._unit_ns = _UNITS_NS.get(unit[1], SECOND) if unit else 0
+        self._savvycan = title == "time stamp"
         pattern, groups = _row_pattern(separator, kinds, self._split)
         tail = "" if self._split else rf"(?:{separator}[^\n]*)?"
         self.regex = re.compile(rf"^(?:{separator.join(pattern)}{tail}|(.*))$", re.MULTILINE)
@@ -138,17 +140,18 @@ class Csv(Format):
         if self._logger:
             return np.array([self._logger_ns(text) for text in texts], dtype=np.int64)
         if texts and not self._unit_ns:
-            digits = len(texts[0].lstrip("-")) if "." not in texts[0] else 0
-            self._unit_ns = (
-                1 if digits > 17 else 1000 if digits > 14 else MS if digits > 11 else SECOND
-            )
-        unit_ns = self._unit_ns
-        if any("." in text for text in texts[:1]) and unit_ns == 1000:
-            unit_ns = SECOND
+            self._unit_ns = self._guessed_unit(texts)
         try:
-            return nanoseconds(texts, unit_ns)
+            return nanoseconds(texts, self._unit_ns)
         except ValueError:
-            return np.array([self._time_ns(text, unit_ns) for text in texts], dtype=np.int64)
+            return np.array([self._time_ns(text, self._unit_ns) for text in texts], dtype=np.int64)
+
+    def _guessed_unit(self, texts: Sequence[str]) -> int:
+        """Unit, ns, of the first times behind a header that states none."""
+        if self._savvycan:  # whole microseconds, to which pandas adds ".0", or seconds
+            return 1000 if all(t.partition(".")[2] in ("", "0") for t in texts) else SECOND
+        digits = len(texts[0].lstrip("-")) if "." not in texts[0] else 0
+        return 1 if digits > 17 else 1000 if digits > 14 else MS if digits > 11 else SECOND
 
     def _time_ns(self, text: str, unit_ns: int) -> int:
         """Nanoseconds of a number, which may have an exponent, or a date. Raises ValueError."""

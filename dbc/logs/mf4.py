@@ -198,9 +198,12 @@ class _Group:
 
         def field(name: str) -> NDArray[np.int64] | None:
             full = f"{self._name}.{name}"
-            if full not in present or samples[full].dtype.kind not in "iub":
+            if full not in present or samples[full].dtype.kind not in "iubf":
                 return None
-            return samples[full].astype(np.int64).reshape(count, -1)[:, 0]  # type: ignore[no-any-return]
+            values = samples[full].reshape(count, -1)[:, 0]
+            if values.dtype.kind == "f":  # of a virtual channel: no bits, only a conversion
+                values = np.nan_to_num(values).clip(0.0, 2.0**32)
+            return values.astype(np.int64)  # type: ignore[no-any-return]
 
         def or_zero(name: str) -> NDArray[np.int64]:
             found = field(name)

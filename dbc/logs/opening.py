@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dbc.candump.grammar import parse_line
-from dbc.candump.reader import LogReader, Reader
+from dbc.candump.reader import LogError, LogReader, Reader
 from dbc.logs.format import Format
 from dbc.text import without_colours, without_mark
 
@@ -17,6 +17,11 @@ _LOOKED_AT: Final = 1 << 16
 LINES: Final = 100
 """Number of lines by which a format is recognised."""
 _ASC: Final = re.compile(rb"date\s+\S|base\s+(hex|dec)\b|begin\s+triggerblock", re.I)
+_PACKED: Final = {
+    b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"BZh": "bzip2", b"PK\3\4": "zip",
+    b"7z\xbc\xaf": "7z", b"\x04\x22\x4d\x18": "lz4",
+}  # fmt: skip
+"""Starts of files that none of the readers unpacks."""
 TEXT: Final = (".asc", ".trc", ".csv")
 OTHERS: Final = (".blf", ".mf4", ".db")
 
@@ -29,10 +34,11 @@ def ending(path: Path) -> str:
 def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     """The reader of an existing file. line: a pattern of its lines (`dbc.logs.pattern`).
 
-    Raises PatternError, or LogError if no reader fits.
+    Raises PatternError, or LogError if no reader fits or the file is compressed, but not by gzip.
     """
+    refuse_packed(path)
     kind = ending(path)
-    if not line and kind not in TEXT + OTHERS:
+    if not line and kind not in OTHERS and (kind not in TEXT or _is_candump(path)):
         kind = _by_content(path)
     form = _by_pattern(line, path) if line else _format(kind, path)
     if form is not None:
@@ -42,6 +48,19 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     if kind in OTHERS:
         return _binary(path, kind, strict)
     return Reader(path, strict=strict)
+
+
+def refuse_packed(path: Path) -> None:
+    """Raises LogError for a file that is compressed by anything but gzip."""
+    with path.open("rb") as stream:
+        start = stream.read(8)
+    for magic, name in _PACKED.items():
+        if start.startswith(magic):
+            raise LogError(path.name, 0, f"is compressed ({name}): unpack it, or use gzip")
+
+
+def _is_candump(path: Path) -> bool:
+    return any(parse_line(line)[1] is not None for line in first_lines(path))
 
 
 def _by_pattern(pattern: str, path: Path) -> Callable[[], Format]:
@@ -108,9 +127,9 @@ def _by_content(path: Path) -> str:
         return ".blf"
     if magic[:3] == b"MDF" or magic[:7] == b"UnFinMF":
         return ".mf4"
-    lines = first_lines(path)
-    if any(parse_line(line)[1] is not None for line in lines):
+    if _is_candump(path):
         return ""
+    lines = first_lines(path)
     if any(_ASC.match(line) for line in lines[:5]):
         return ".asc"
     if any(line.startswith(b";$FILEVERSION") for line in lines[:5]):

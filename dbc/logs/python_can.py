@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
+from dbc.logs.format import CLASSIC_BYTES
 from dbc.logs.objects import ObjectReader
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ def from_message(message: can.Message) -> Frame:
     else:
         flags |= EXTENDED if message.is_extended_id else 0
         flags |= REMOTE if message.is_remote_frame else 0
-        if message.is_fd:
+        # A `.db` log does not keep whether a frame is a CAN FD frame.
+        if message.is_fd or (message.data and len(message.data) > CLASSIC_BYTES):
             flags |= FD
             flags |= BRS if message.bitrate_switch else 0
             flags |= ESI if message.error_state_indicator else 0

@@ -65,7 +65,7 @@ class Trc(Format):
             raise KeyError(version)
         head = [_FORMS.get(c, _WORD) for c in names[:-1] if c != "O"]
         at = names.index("O")
-        head.insert(at, r"(-?\d+(?:\.\d*)?)")
+        head.insert(at, r"(-?\d+(?:[.,]\d*)?)")
         plain = r"[ \t]*\d+\)?" + _BLANK + _BLANK.join(head) + r"(?![^ \t\n])([ \t0-9A-Fa-f]*)"
         self.regex = re.compile(rf"^(?:{plain}|(.*))$", re.MULTILINE)
         count = len(head)
@@ -76,7 +76,7 @@ class Trc(Format):
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
         """Nanoseconds of times in milliseconds. Raises ValueError."""
-        return nanoseconds(texts, MS)
+        return nanoseconds([text.replace(",", ".") for text in texts], MS)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times since 1970, from those since the start of the log."""
@@ -142,11 +142,11 @@ class Trc(Format):
         if not _LINE.match(text) or (len(parts) < len(names) and not state):
             return Line(Verdict.MALFORMED)
         try:
-            t_ns = nanoseconds([parts["O"]], MS).item()
+            t_ns = self.times([parts["O"]]).item()
             if state:
                 return Line(Verdict.EVENT, None, t_ns)
-            if parts.get("T", "").upper() in _ERRORS:
-                return framed(self._of(parts | {"I": "0000"}), t_ns, sure=True)
+            if parts.get("T", "").upper() in _ERRORS or body[:1] == ["ERROR"]:
+                return framed(self._of(parts | {"I": "0000", "T": "ERROR"}), t_ns, sure=True)
             head = self._of(parts)
             if head.verdict is Verdict.EVENT:
                 return Line(Verdict.EVENT, None, t_ns)
@@ -164,8 +164,9 @@ class Trc(Format):
             if key == "FILEVERSION":
                 self._set(value)
             elif key == "STARTTIME":
-                since_1899 = nanoseconds([value], 86_400 * SECOND).item()
-                self._start_ns = since_1899 - _EPOCH_DAYS * 86_400 * SECOND
+                since_1899 = nanoseconds([value.replace(",", ".")], 86_400 * SECOND).item()
+                start_us = round(since_1899 / 1000) - _EPOCH_DAYS * 86_400_000_000
+                self._start_ns = 1000 * start_us
             elif key == "COLUMNS":
                 self._set("", [name.strip() for name in value.split(",")][1:])
         except (ValueError, KeyError, OverflowError):

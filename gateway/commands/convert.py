@@ -98,7 +98,8 @@ def run(options: argparse.Namespace) -> int:
         advice = ""
         if decoder is not None:
             left += [f"{k.name.lower()} {n}" for k, n in decoder.counts.items()]
-            advice = f" by {decoder.codec.path.name}; name the DBC with --dbc, or use --frames"
+            other = "" if options.dbc is not None else "name the DBC with --dbc, or "
+            advice = f" by {decoder.codec.path.name}; {other}use --frames for frames"
         raise BadLogError(f"{options.log}: {error}{advice} ({', '.join(left)})") from None
     _summary(log, done, decoder)
     seconds = time.perf_counter() - began

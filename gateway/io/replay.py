@@ -296,6 +296,8 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
         elif candump:
             msg += "; for text of another program, `--line auto` proposes a pattern of its lines"
         raise BadLogError(msg)
+    if left := [f"{v.name.lower()} {n}" for v, n in reader.counts.items() if n]:
+        raise BadLogError(f"{path}: no frame in the log ({', '.join(left)})")
 
 
 __all__ = ["BadLogError", "Log", "LogError", "OneChannel", "Replayed", "open_log", "replay"]

@@ -78,7 +78,8 @@ class Decoder:
         ordered = sorted(codec.messages, key=lambda m: m.key)
         self._keys = np.array([m.key for m in ordered], dtype=np.int64)
         self._index = np.array([m.index for m in ordered], dtype=np.int32)
-        self._fd = np.array([m.is_fd for m in ordered], dtype=np.bool_)
+        formats = [(m.has_format(False), m.has_format(True)) for m in ordered]
+        self._formats = np.array(formats, dtype=np.bool_).reshape(-1, 2)
         self._length = np.array([m.length for m in ordered], dtype=np.int64)
 
     def match(self, block: Block) -> NDArray[np.int32]:
@@ -93,7 +94,8 @@ class Decoder:
         if known.any():
             outcome[known] = Match.OK
             outcome[known & (self._length[place] > block.length)] = Match.WRONG_LENGTH
-            outcome[known & (self._fd[place] != (flags & FD != 0))] = Match.WRONG_FORMAT
+            has_format = self._formats[place, (flags & FD != 0).astype(np.intp)]
+            outcome[known & ~has_format] = Match.WRONG_FORMAT
         outcome[flags & REMOTE != 0] = Match.REMOTE
         outcome[flags & ERROR != 0] = Match.ERROR_FRAME
         for number, count in enumerate(np.bincount(outcome, minlength=len(Match)).tolist()):

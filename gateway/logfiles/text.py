@@ -242,9 +242,14 @@ class AscFile(TextFile):
 
 
 class TrcFile(TextFile):
-    """TRC 2.1; the start time is that of the first frame, in UTC."""
+    """TRC 2.1; the start time is that of the first frame, in UTC, in whole microseconds."""
+
+    @property
+    def _start_ns(self) -> Nanos:
+        return super()._start_ns // 1000 * 1000
 
     def _head(self, first_ns: Nanos) -> Iterator[str]:
+        first_ns = self._start_ns
         days, rest = divmod(first_ns, _DAY_NS)
         part = rest * 10**_DAY_DIGITS // _DAY_NS
         moment = _EPOCH + timedelta(microseconds=first_ns // 1000)

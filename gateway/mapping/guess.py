@@ -34,6 +34,7 @@ _NEVER: Final = (
     r"dc|bus|batt?|battery|lv|aux|charge|charger|charging|wheel|vehicle|gps|steer|steering|brake|"
     r"braking|driver|pedal|valid|qf|status|state|accuracy|warning|warn|fault|hist|avg|ff|crc|"
     r"checksum|shudder|gear|fan|pump|seat|cruise|hv|lipo|bms|cell|pdu|ui|diag|front|torsion|"
+    r"blower|hvac|epb|chg|pcs|obc|config|cfg|param|lower|upper|threshold|"
     r"engine|eng|alternator|turbo|compressor|sas|eps|blade|articulation|insd|inside|cabin|interior"
 )
 

@@ -74,6 +74,16 @@ def test_a_signal_without_a_unit_is_proposed_in_a_comment_only(tmp_path, capsys)
     assert "Speed            may be Motor.MotorSpeed" in capsys.readouterr().out
 
 
+def test_the_blower_of_a_cabin_is_no_traction_motor(tmp_path, capsys):
+    write_dbc(tmp_path / "m.dbc", MOTOR | {
+        "Cabin": (0x282, 10, ['HvacBlowerRPMActual : 0|16@1- (1,0) [0|0] "rpm"']),
+        "Setup": (0x159, 10, ['LowerRpmMotor : 0|16@1- (1,0) [0|0] "rpm"'])})  # fmt: skip
+    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+    used = [one.signal for one in load(tmp_path / "t.toml").drive[0].signals.use.values()]
+    assert used
+    assert not [name for name in used if name.startswith(("Cabin.", "Setup."))]
+
+
 def test_a_dbc_without_anything_of_a_motor_is_refused(tmp_path, capsys):
     write_dbc(tmp_path / "m.dbc", {"Seat": (5, 10, ['SeatHeight : 0|8@1+ (1,0) [0|0] "mm"'])})
     code = main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])

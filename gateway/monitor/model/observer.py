@@ -337,6 +337,6 @@ class Observer:
 
 
 def _match(spec: MessageSpec, flags: int, length: int) -> Match:
-    if bool(flags & FD) != spec.is_fd:
+    if not spec.has_format(bool(flags & FD)):
         return Match.WRONG_FORMAT
     return Match.OK if length == spec.length else Match.WRONG_LENGTH
