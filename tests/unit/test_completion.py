@@ -11,16 +11,13 @@ from gateway.cli import VERBS, main
 from gateway.core.codes import FaultClass, Health, Reason
 from gateway.settings.config import shipped_dbc
 from tests.docs.codes import PAGE, page
+from tests.programs import gateway
 
 
 @pytest.fixture(scope="module")
 def script(tmp_path_factory):
     path = tmp_path_factory.mktemp("shell") / "complete.sh"
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", "completion", "bash"], capture_output=True, text=True,
-        check=True,
-    )  # fmt: skip
-    path.write_text(done.stdout)
+    path.write_text(gateway("completion", "bash").stdout)
     return path
 
 

@@ -23,6 +23,7 @@ from gateway.io.realtime import Ticker
 from gateway.io.service import Manager, Overseer
 from gateway.io.transport import LinkState, SendResult, Status
 from gateway.settings.config import parse
+from tests.programs import gateway
 
 
 class Clock:
@@ -180,10 +181,8 @@ def test_a_line_of_json_has_everything():
 @pytest.mark.parametrize("form", ["--log-format=json", "--log-format json", "--log-f json"])
 def test_the_log_of_a_verb_as_json(form):
     words = ["run", "-v", "-i", "virtual", "-c", "x", "--quiet", "--duration", "0.05"]
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", *words, *form.split()],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    done = gateway(*words, *form.split())
+    assert done.returncode == 0
     lines = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
     assert "configuration " in " ".join(line["message"] for line in lines)
     # An error where the machine is so busy that a tick comes too late to be sent.
@@ -195,10 +194,7 @@ def test_the_log_of_a_verb_as_json(form):
 
 
 def test_an_error_ends_a_log_of_json_with_a_line_of_json():
-    words = ["check", "no-such.toml", "--log-format", "json"]
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False
-    )
+    done = gateway("check", "no-such.toml", "--log-format", "json")
     assert done.returncode == 2
     got = json.loads(done.stderr)
     assert got["level"] == "error"

@@ -268,17 +268,6 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, capsys, logs, tm
     assert "pyarrow" in capsys.readouterr().err
 
 
-def test_nothing_of_it_is_imported_elsewhere():
-    # As `run` does it (test_lean_start): python-can loads asammdf, and that pyarrow.
-    code = (
-        "import sys; sys.modules['asammdf'] = None;"
-        "import gateway.commands.fleet, gateway.commands.run, gateway.commands.replay;"
-        "import gateway.io.live, gateway.io.replay;"
-        "sys.exit(any(m in sys.modules for m in ('dask', 'distributed', 'pyarrow')))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 def test_patterns_folders_and_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("a/x.log", "a/b/y.log", "a/.hidden.log", "a/[odd].log", "out/estimates/z.parquet"):
