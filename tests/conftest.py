@@ -1,5 +1,7 @@
 """Options of the test run."""
 
+import pytest
+
 from tests.fuzz import load_fuzz, load_gate
 
 load_gate()
@@ -50,3 +52,13 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if config.getoption("--fuzz"):
         load_fuzz(config.getoption("--fuzz"))
+
+
+@pytest.fixture(scope="session")
+def log(tmp_path_factory):
+    """Three drives and a gateway; the second drive loses adhesion from 1.2 s to 2.0 s."""
+    from tests.monitored import recorded, write
+
+    path = tmp_path_factory.mktemp("log") / "loss.log"
+    write(path, recorded().frames)
+    return path

@@ -25,13 +25,6 @@ from tests.simrun import codec
 MS = 1_000_000
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("monitor") / "both.log"
-    write(path, recorded().frames)
-    return path
-
-
 def source(path, **options):
     return LogSource(path, lambda: recorded().observer(**options))
 

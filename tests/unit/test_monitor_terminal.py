@@ -18,13 +18,6 @@ from tests.monitored import play, recorded, write
 END = 3_000_000_000
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("terminal") / "both.log"
-    write(path, recorded().frames)
-    return path
-
-
 class Screen:
     """An app under test: its screen as lines."""
 
@@ -80,7 +73,7 @@ def test_everything_stands_on_a_screen_of_80_by_24(log):
         assert len(lines) == 24
         assert {len(line) for line in lines} == {80}
         text = text_of(lines)
-        for part in ("both.log", "GATEWAY", "Running", "Switching", "BUS ✓active",
+        for part in ("loss.log", "GATEWAY", "Running", "Switching", "BUS ✓active",
                      "frames/s", "LOAD Nm of drive 1", "P(lost)", "FLAGS LATE BY",
                      "stator", "? help", "PAUSED"):  # fmt: skip
             assert part in text, part
@@ -141,7 +134,7 @@ def test_numbers_of_two_digits(log):
 
 def test_pause_seek_and_speed_by_keys(log):
     async def steps(screen):
-        at = lambda lines: float(lines[0].split("both.log")[1].split()[0])  # noqa: E731
+        at = lambda lines: float(lines[0].split("loss.log")[1].split()[0])  # noqa: E731
         assert at(screen.lines()) == 1.0
         assert at(await screen.tick(0.3)) == 1.0
         await screen.press("space")
