@@ -38,7 +38,7 @@ from tests.reference.flags import (
     summary,
     worst,
 )
-from tests.stations import Flags, debounce, flag, loss_evidence
+from tests.stations import Flags, debounce, flag
 
 N = 3
 MS = 1_000_000
@@ -133,12 +133,6 @@ def test_stamps_far_apart_do_not_overflow():
 
 
 # ---- evidence and reasons ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("lost", [*NUMBERS.tolist(), -1e-9])
-def test_evidence_of_a_probability(lost):
-    wanted = from_probability(lost, True, RAISE, CLEAR)
-    assert loss_evidence(RULES, lost) == (UNCHANGED if wanted is None else wanted)
 
 
 def test_ranks_are_the_priorities_and_what_is_no_reason_ranks_as_none():
