@@ -65,15 +65,18 @@ class Flags:
         return Frame(t_ns, self.spec.can_id, bytes(payload))
 
 
-def flags_and_speeds(simulated, coded, **config):
-    """Adhesion flags and true rotor speeds of a scenario, both (ticks, N)."""
+def flags_and_speeds(simulated, coded, through=lambda frames, now: frames, **config):
+    """Adhesion flags and true rotor speeds of a scenario, both (ticks, N).
+
+    through: which frames of those sent until a tick, and earlier, arrive in it.
+    """
     nodes = tuple(range(1, simulated.drives + 1))
     simulation = Simulation(simulated, coded, nodes=nodes)
     drives = {"drive": [{"node": node} for node in nodes]}
     core = Gateway(parse_config({"dbc": {"file": str(coded.path)}, **drives, **config}), coded, 0)
     flags = []
     for k in range(1, round(simulated.duration_s * 100) + 1):
-        core.step(simulation.step((), k * TICK), k * TICK)
+        core.step(through(simulation.step((), k * TICK), k * TICK), k * TICK)
         flags.append([drive.adhesion for drive in core.view.drives])
     speeds = np.reshape([row.speed_rad_s for row in simulation.truth_rows()], (-1, len(nodes)))
     return np.array(flags), np.abs(speeds[: len(flags)])
