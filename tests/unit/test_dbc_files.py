@@ -9,7 +9,6 @@ from dbc import load as binding
 from dbc.codec import bind
 from dbc.dataids import p02_data_ids
 from dbc.load import load
-from gateway.core import codes
 from tests.programs import loaded
 
 FOLDER = Path(build.__file__).parent
@@ -75,23 +74,6 @@ def test_definitions_have_defaults_and_the_contracts_types():
     assert definitions["E2EDataIdList"].type_name == "STRING"
     assert all(d.default_value is not None for d in definitions.values())
     assert database.dbc.attributes["BusType"].value == "CAN FD"
-
-
-@pytest.mark.parametrize(
-    ("message", "signal", "enumeration"),
-    [
-        ("Gateway_Adhesion", "Reason", codes.Reason),
-        ("Gateway_Faults", "Reason", codes.Reason),
-        ("Drive1_Estimate", "Health", codes.Health),
-        ("Drive1_Thermal", "FaultClass", codes.FaultClass),
-        ("Drive1_Thermal", "FaultSensor", codes.FaultSensor),
-        ("Gateway_Status", "State", codes.GatewayState),
-    ],
-)
-def test_the_numbers_of_the_core_have_the_names_of_the_dbc(codec, message, signal, enumeration):
-    (spec,) = (s for s in codec.by_name[message].signals if s.name == signal)
-    labels = {raw: label for raw, label in spec.labels.items() if raw != spec.not_available}
-    assert labels == {e.value: e.name.title().replace("_", "") for e in enumeration}
 
 
 def test_data_ids_are_distinct_and_as_the_rule_says(codec):

@@ -143,12 +143,6 @@ def test_ranks_are_the_priorities_and_what_is_no_reason_ranks_as_none():
         assert lib.reason_rank(number) == lib.reason_rank(Reason.NONE)
 
 
-def test_a_reason_that_is_none_is_the_other_one():
-    for reason in Reason:
-        assert lib.worse_reason(reason, Reason.NONE) == reason
-        assert lib.worse_reason(Reason.NONE, reason) == reason
-
-
 def test_nothing_is_written_behind_the_drives_nor_beside_their_flags():
     def rows(dtype, count=N + 1):
         out = np.zeros(count, dtype)
