@@ -62,3 +62,19 @@ def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("log") / "loss.log"
     write(path, recorded().frames)
     return path
+
+
+@pytest.fixture
+def refused(capsys):
+    """The one line with which the command refuses these words, with exit code 2."""
+    from gateway.cli import main
+
+    def line(*words):
+        capsys.readouterr()
+        assert main([str(word) for word in words]) == 2
+        said = capsys.readouterr().err.strip()
+        assert said.startswith("traction-gateway: ")
+        assert "\n" not in said
+        return said
+
+    return line

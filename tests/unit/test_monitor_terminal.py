@@ -329,27 +329,19 @@ def test_a_strip_shows_the_gravest_and_a_bar_what_is_not_known():
 # ---- the verb ----------------------------------------------------------------------------------
 
 
-def refused(capsys, *words):
-    assert main(["monitor", *map(str, words)]) == 2
-    said = capsys.readouterr().err.strip()
-    assert said.startswith("traction-gateway: ")
-    assert "\n" not in said
-    return said
-
-
-def test_what_cannot_be_shown_is_one_line(capsys, log, monkeypatch, tmp_path):
-    assert "needs a terminal" in refused(capsys, log)
+def test_what_cannot_be_shown_is_one_line(refused, log, monkeypatch, tmp_path):
+    assert "needs a terminal" in refused("monitor", log)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    assert "a log and a bus" in refused(capsys, log, "-i", "virtual", "-c", "x")
-    assert "no such file" in refused(capsys, tmp_path / "none.log")
-    assert "for a log" in refused(capsys, "-i", "virtual", "-c", "x", "--at", "3")
-    assert "name one" in refused(capsys)
+    assert "a log and a bus" in refused("monitor", log, "-i", "virtual", "-c", "x")
+    assert "no such file" in refused("monitor", tmp_path / "none.log")
+    assert "for a log" in refused("monitor", "-i", "virtual", "-c", "x", "--at", "3")
+    assert "name one" in refused("monitor")
     monkeypatch.setitem(sys.modules, "textual", None)
     monkeypatch.setattr("gateway.io.extras.find_spec", lambda name: None)
-    assert "pip install 'textual>=8' 'textual-plotext" in refused(capsys, log)
+    assert "pip install 'textual>=8' 'textual-plotext" in refused("monitor", log)
 
 
-def test_a_log_that_vanishes_ends_the_view_with_one_line(capsys, monkeypatch, tmp_path):
+def test_a_log_that_vanishes_ends_the_view_with_one_line(refused, monkeypatch, tmp_path):
     path = tmp_path / "vanishing.log"
     write(path, recorded().frames)
     real = MonitorApp.run
@@ -366,7 +358,7 @@ def test_a_log_that_vanishes_ends_the_view_with_one_line(capsys, monkeypatch, tm
         MonitorApp, "run",
         lambda app: real(app, headless=True, size=(80, 24), auto_pilot=lambda p: steps(app, p)),
     )  # fmt: skip
-    assert "no such file" in refused(capsys, path)
+    assert "no such file" in refused("monitor", path)
 
 
 def test_a_name_cannot_bring_control_characters_to_the_terminal(tmp_path):
