@@ -1,6 +1,8 @@
 """Running scenarios, and a gateway reduced to the flags it sends, for tests of the simulator."""
 
+from bisect import bisect_right
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,14 @@ def run(simulation, seconds, tick=TICK):
     for k in range(1, round(seconds * 1e9) // tick + 1):
         out += simulation.step((), k * tick)
     return out
+
+
+def by_tick(frames, times):
+    """(time, frames until then that came after the time before) of each of these times."""
+    frames, k = sorted(frames, key=attrgetter("t_ns")), 0
+    for now in times:
+        first, k = k, bisect_right(frames, now, k, key=attrgetter("t_ns"))
+        yield now, frames[first:k]
 
 
 def values(frames, name, codec_=None):
