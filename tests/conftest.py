@@ -57,11 +57,10 @@ def pytest_configure(config):
 @pytest.fixture(scope="session")
 def log(tmp_path_factory):
     """Three drives and a gateway; the second drive loses adhesion from 1.2 s to 2.0 s."""
-    from tests.monitored import recorded, write
+    from tests.monitored import recorded
+    from tests.simrun import log_of
 
-    path = tmp_path_factory.mktemp("log") / "loss.log"
-    write(path, recorded().frames)
-    return path
+    return log_of(tmp_path_factory.mktemp("log") / "loss.log", recorded().frames)
 
 
 @pytest.fixture

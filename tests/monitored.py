@@ -3,7 +3,6 @@
 from functools import cache
 from typing import NamedTuple
 
-from dbc.candump.writer import Writer
 from dbc.frame import Frame
 from gateway.core.gateway import Gateway
 from gateway.core.view import GatewayView
@@ -66,12 +65,6 @@ def play(observer, frames, until_ns=None, step_ns=7_000_000):
     for now, part in by_tick(frames, (*range(step_ns, end, step_ns), end)):
         observer.add_frames(part, now)
     return observer.snapshot(end)
-
-
-def write(path, frames):
-    with Writer(path) as log:
-        for frame in sorted(frames, key=lambda f: f.t_ns):
-            log.write(frame, "vcan0")
 
 
 def shadow_views(run):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import dbc
+from dbc.candump.writer import Writer
 from dbc.codec import bind
 from dbc.e2e import protect
 from dbc.frame import Frame
@@ -35,6 +36,14 @@ def run(simulation, seconds, tick=TICK):
     for k in range(1, round(seconds * 1e9) // tick + 1):
         out += simulation.step((), k * tick)
     return out
+
+
+def log_of(path, frames, channel="can0"):
+    """A log of these frames in order of time."""
+    with Writer(path, channel) as writer:
+        for frame in sorted(frames, key=attrgetter("t_ns")):
+            writer.write(frame)
+    return path
 
 
 def by_tick(frames, times):

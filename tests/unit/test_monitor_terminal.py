@@ -13,7 +13,8 @@ from gateway.monitor.log_source import LogSource
 from gateway.monitor.model import panels, plots
 from gateway.monitor.model.snapshot import Event, Lateness, Trace
 from gateway.monitor.terminal import MonitorApp
-from tests.monitored import play, recorded, write
+from tests.monitored import play, recorded
+from tests.simrun import codec, log_of
 
 END = 3_000_000_000
 
@@ -110,7 +111,6 @@ def test_a_drive_is_chosen_by_its_number_and_by_arrows(log):
 def test_numbers_of_two_digits(log):
     from gateway.monitor.model.observer import Observer
     from tests.monitored import config_of
-    from tests.simrun import codec
 
     nodes = tuple(range(1, 17))
     source = LogSource(log, lambda: Observer(codec(nodes), config_of(nodes)))
@@ -195,8 +195,7 @@ def test_a_wide_screen_has_more_columns_and_a_tiny_one_does_not_break(log):
 
 
 def test_no_gateway_and_a_shadow_are_said(tmp_path):
-    path = tmp_path / "drives.log"
-    write(path, recorded().drives)
+    path = log_of(tmp_path / "drives.log", recorded().drives)
 
     async def none(screen):
         text = text_of(screen.lines())
@@ -342,8 +341,7 @@ def test_what_cannot_be_shown_is_one_line(refused, log, monkeypatch, tmp_path):
 
 
 def test_a_log_that_vanishes_ends_the_view_with_one_line(refused, monkeypatch, tmp_path):
-    path = tmp_path / "vanishing.log"
-    write(path, recorded().frames)
+    path = log_of(tmp_path / "vanishing.log", recorded().frames)
     real = MonitorApp.run
 
     async def steps(app, pilot):
@@ -362,8 +360,7 @@ def test_a_log_that_vanishes_ends_the_view_with_one_line(refused, monkeypatch, t
 
 
 def test_a_name_cannot_bring_control_characters_to_the_terminal(tmp_path):
-    path = tmp_path / "a\x1b[2Jb.log"
-    write(path, recorded().drives[:50])
+    path = log_of(tmp_path / "a\x1b[2Jb.log", recorded().drives[:50])
     source = opened(path)
     assert "\x1b" not in source.title
 
