@@ -1,5 +1,7 @@
 """Options of the test run."""
 
+import pytest
+
 from tests.fuzz import load_fuzz, load_gate
 
 load_gate()
@@ -50,3 +52,28 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if config.getoption("--fuzz"):
         load_fuzz(config.getoption("--fuzz"))
+
+
+@pytest.fixture(scope="session")
+def log(tmp_path_factory):
+    """Three drives and a gateway; the second drive loses adhesion from 1.2 s to 2.0 s."""
+    from tests.monitored import recorded
+    from tests.simrun import log_of
+
+    return log_of(tmp_path_factory.mktemp("log") / "loss.log", recorded().frames)
+
+
+@pytest.fixture
+def refused(capsys):
+    """The one line with which the command refuses these words, with exit code 2."""
+    from gateway.cli import main
+
+    def line(*words):
+        capsys.readouterr()
+        assert main([str(word) for word in words]) == 2
+        said = capsys.readouterr().err.strip()
+        assert said.startswith("traction-gateway: ")
+        assert "\n" not in said
+        return said
+
+    return line

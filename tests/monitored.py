@@ -3,7 +3,6 @@
 from functools import cache
 from typing import NamedTuple
 
-from dbc.candump.writer import Writer
 from dbc.frame import Frame
 from gateway.core.gateway import Gateway
 from gateway.core.view import GatewayView
@@ -11,7 +10,7 @@ from gateway.hil.bench import run_virtual
 from gateway.monitor.model.observer import Observer
 from gateway.settings.config import Config, parse
 from sim.scenario import parse as scenario
-from tests.simrun import codec
+from tests.simrun import by_tick, codec
 
 TICK = 10_000_000
 SECONDS = 3.0
@@ -61,35 +60,18 @@ def recorded():
 
 def play(observer, frames, until_ns=None, step_ns=7_000_000):
     """Give all frames in cuts of `step_ns`; the snapshot at the end."""
-    frames = sorted(frames, key=lambda f: f.t_ns)
-    end = frames[-1].t_ns if until_ns is None else until_ns
-    now = k = 0
-    while now < end:
-        now = min(now + step_ns, end)
-        first = k
-        while k < len(frames) and frames[k].t_ns <= now:
-            k += 1
-        observer.add_frames(frames[first:k], now)
+    frames = list(frames)
+    end = max(f.t_ns for f in frames) if until_ns is None else until_ns
+    for now, part in by_tick(frames, (*range(step_ns, end, step_ns), end)):
+        observer.add_frames(part, now)
     return observer.snapshot(end)
-
-
-def write(path, frames):
-    with Writer(path) as log:
-        for frame in sorted(frames, key=lambda f: f.t_ns):
-            log.write(frame, "vcan0")
 
 
 def shadow_views(run):
     """What a gateway of its own makes of the drives' frames, tick by tick as replay does."""
-    frames = sorted(run.drives, key=lambda f: f.t_ns)
-    first = frames[0].t_ns
-    gateway, views, k = Gateway(run.config, codec(), first), [], 0
-    now = first
-    while k < len(frames):
-        start = k
-        while k < len(frames) and frames[k].t_ns <= now:
-            k += 1
-        gateway.step(frames[start:k], now)
+    stamps = [f.t_ns for f in run.drives]
+    gateway, views = Gateway(run.config, codec(), min(stamps)), []
+    for now, frames in by_tick(run.drives, range(min(stamps), max(stamps) + TICK, TICK)):
+        gateway.step(frames, now)
         views.append(gateway.view)
-        now += TICK
     return views

@@ -1,11 +1,14 @@
 """Running scenarios, and a gateway reduced to the flags it sends, for tests of the simulator."""
 
+from bisect import bisect_right
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 
 import dbc
+from dbc.candump.writer import Writer
 from dbc.codec import bind
 from dbc.e2e import protect
 from dbc.frame import Frame
@@ -33,6 +36,22 @@ def run(simulation, seconds, tick=TICK):
     for k in range(1, round(seconds * 1e9) // tick + 1):
         out += simulation.step((), k * tick)
     return out
+
+
+def log_of(path, frames, channel="can0"):
+    """A log of these frames in order of time."""
+    with Writer(path, channel) as writer:
+        for frame in sorted(frames, key=attrgetter("t_ns")):
+            writer.write(frame)
+    return path
+
+
+def by_tick(frames, times):
+    """(time, frames until then that came after the time before) of each of these times."""
+    frames, k = sorted(frames, key=attrgetter("t_ns")), 0
+    for now in times:
+        first, k = k, bisect_right(frames, now, k, key=attrgetter("t_ns"))
+        yield now, frames[first:k]
 
 
 def values(frames, name, codec_=None):
@@ -65,15 +84,18 @@ class Flags:
         return Frame(t_ns, self.spec.can_id, bytes(payload))
 
 
-def flags_and_speeds(simulated, coded, **config):
-    """Adhesion flags and true rotor speeds of a scenario, both (ticks, N)."""
+def flags_and_speeds(simulated, coded, through=lambda frames, now: frames, **config):
+    """Adhesion flags and true rotor speeds of a scenario, both (ticks, N).
+
+    through: which frames of those sent until a tick, and earlier, arrive in it.
+    """
     nodes = tuple(range(1, simulated.drives + 1))
     simulation = Simulation(simulated, coded, nodes=nodes)
     drives = {"drive": [{"node": node} for node in nodes]}
     core = Gateway(parse_config({"dbc": {"file": str(coded.path)}, **drives, **config}), coded, 0)
     flags = []
     for k in range(1, round(simulated.duration_s * 100) + 1):
-        core.step(simulation.step((), k * TICK), k * TICK)
+        core.step(through(simulation.step((), k * TICK), k * TICK), k * TICK)
         flags.append([drive.adhesion for drive in core.view.drives])
     speeds = np.reshape([row.speed_rad_s for row in simulation.truth_rows()], (-1, len(nodes)))
     return np.array(flags), np.abs(speeds[: len(flags)])

@@ -5,11 +5,11 @@ import re
 
 import numpy as np
 
-from dbc.candump.writer import Writer
 from dbc.codec import bind
 from dbc.e2e import protect
 from dbc.frame import SECOND, Frame
 from gateway.settings.config import load
+from tests.simrun import log_of
 
 KINDS = ("Motion", "Status", "Temperatures")
 
@@ -94,7 +94,4 @@ def write(
                 protect(spec, payload, k)
                 stamp = at + k * cycle_ms * SECOND // 1000
                 frames.append(Frame(stamp, spec.can_id, bytes(payload)))
-    frames.sort()
-    with Writer(path) as writer:
-        for frame in frames:
-            writer.write(frame, "can0")
+    log_of(path, sorted(frames))

@@ -12,7 +12,7 @@ from gateway.mapping.plan import fitted, plans
 from gateway.mapping.translate import Translator
 from sim.simulation import Simulation
 from tests.inverters import spoken
-from tests.simrun import TICK, codec, run, scenario
+from tests.simrun import TICK, by_tick, codec, run, scenario
 from tests.unit.test_foreign import FORMS, mapped
 
 IDS = [0x600 + 16 * n + k for n in (1, 2, 3) for k in range(5)] + [0x181, 0x281, 0x381]
@@ -60,13 +60,10 @@ def test_what_stops_coming_stops_being_good(tmp_path_factory, form, message, how
     """From some tick on one message of drive 1 is silent, random, invalid or always the same."""
     config = mapped(tmp_path_factory.mktemp("dbc"), form)
     can_id = 0x610 + ["Cur", "Vol", "Mot"].index(message)
-    theirs = sorted(spoken(config, TRAIN), key=lambda f: f.t_ns)
-    gateway, k, held, good = Gateway(config, codec(), 0), 0, None, []
-    for now in range(TICK, 1_500_000_000, TICK):
+    gateway, held, good = Gateway(config, codec(), 0), None, []
+    for now, frames in by_tick(spoken(config, TRAIN), range(TICK, 1_500_000_000, TICK)):
         batch = []
-        while k < len(theirs) and theirs[k].t_ns <= now:
-            frame = theirs[k]
-            k += 1
+        for frame in frames:
             if frame.can_id == can_id and now > tick * TICK:
                 held = held or frame
                 if how == "silent":
@@ -76,8 +73,9 @@ def test_what_stops_coming_stops_being_good(tmp_path_factory, form, message, how
                     "not available": b"\xff\x7f" * 4,
                     "frozen": held.data,
                 }[how]
-                frame = frame._replace(data=changed)
-            batch.append(frame)
+                batch.append(frame._replace(data=changed))
+            else:
+                batch.append(frame)
         gateway.step(batch, now)
         good.append(gateway.view.drives[0].adhesion is Flag.GOOD)
     if tick > 80:

@@ -105,7 +105,14 @@ class Both:
         self.drives = receiving.drive_inputs(self.n)
         self.slow = columns.slow_of(self.drives)
 
-    def tick(self, told, given, now, operating):
+    def run(self, given):
+        """Ticks in which all drives operate: (opinion, flags and common mode) of each."""
+        for tick, one in enumerate(given):
+            opinion = self.tick(one, tick * TICK)
+            yield opinion, self.decide(opinion, tick * TICK)
+
+    def tick(self, given, now, operating=True):
+        told = columns.told(self.n)
         health, load, speed, command, before, (sent, steady), fresh, measured = given
         told.health[:], told.load[:], told.speed[:] = health, load, speed
         told.sigma[:], told.nis[:] = 0.1 * (1 + np.arange(self.n)), 1.0
@@ -171,7 +178,7 @@ def test_a_train_that_drives(seed, detector):
     rng, both, met = np.random.default_rng(seed), Both(motors, detector=detector), set()
     first = both.core.record["spread"]["spread"].item()
     for tick, given in enumerate(train_that_drives(rng, N, 800)):
-        opinion = both.tick(columns.told(N), given, tick * TICK, rng.random() < 0.99)
+        opinion = both.tick(given, tick * TICK, rng.random() < 0.99)
         met |= {*both.decide(opinion, tick * TICK)}
     assert set(Flag) <= met, "common mode"
     assert (Flag.GOOD, Flag.BAD, Flag.GOOD) in met
@@ -181,9 +188,7 @@ def test_a_train_that_drives(seed, detector):
 def test_a_long_train_that_drives():
     """64 drives, of two kinds: flags as the reference decides them, of which one is lost."""
     rng, both, met = np.random.default_rng(3), Both([BENCH_MOTOR, OTHER] * 32), set()
-    for tick, given in enumerate(train_that_drives(rng, 64, 300)):
-        opinion = both.tick(columns.told(64), given, tick * TICK, True)
-        states, _ = both.decide(opinion, tick * TICK)
+    for _, (states, _) in both.run(train_that_drives(rng, 64, 300)):
         met.add(tuple(k for k, state in enumerate(states) if state == Flag.BAD))
     assert (32,) in met
 
@@ -198,7 +203,7 @@ def test_anything(n, ticks, detector):
             both.core.unreliable_until_ns[:] = both.plain.rotors["unreliable_until_ns"] = (
                 tick + rng.integers(0, 20, n)
             ) * TICK
-        opinion = both.tick(columns.told(n), given, tick * TICK, rng.random(n) < 0.9)
+        opinion = both.tick(given, tick * TICK, rng.random(n) < 0.9)
         if rng.random() < 0.7:
             both.decide(opinion, tick * TICK)
 
@@ -208,17 +213,24 @@ def test_numbers_on_limits(n, detector):
     """At first no flag changes: no command follows one."""
     rng, both = np.random.default_rng(n), Both([BENCH_MOTOR] * n, detector=detector)
     for tick, given in enumerate(on_limits(rng, n, 400), 300):
-        opinion = both.tick(columns.told(n), given, tick * TICK, True)
+        opinion = both.tick(given, tick * TICK)
         if tick > 500:
             both.decide(opinion, tick * TICK)
 
 
-def test_any_verdict_of_the_model_with_a_memory():
-    """Numbers on the limits, too; the model itself never moves."""
-    rng, both, met = np.random.default_rng(4), Both([BENCH_MOTOR] * N, detector="switching"), set()
+def with_given_verdicts():
+    """Both, and their models, which never move by themselves."""
+    both = Both([BENCH_MOTOR] * N, detector="switching")
     models = both.core.switching, both.plain.model
     for model in models:
         model.record["ticks"], model.record["every"] = 1, 2**30
+    return both, models
+
+
+def test_any_verdict_of_the_model_with_a_memory():
+    """Numbers on the limits, too."""
+    rng, met = np.random.default_rng(4), set()
+    both, models = with_given_verdicts()
     for tick, given in enumerate(train_that_drives(rng, N, 600)):
         if tick % 3 == 0:
             lost = rng.choice([0.0, 0.0, 0.1, 0.3, 0.5, 0.7, 0.99, 1.0], N)
@@ -226,17 +238,15 @@ def test_any_verdict_of_the_model_with_a_memory():
             demand = rng.choice([0.05, 0.1, 0.2, 0.7])
         for model in models:
             model.lost[:], model.adhering[:], model.record["demand"] = lost, adhering, demand
-        opinion = both.tick(columns.told(N), given, tick * TICK, True)
+        opinion = both.tick(given, tick * TICK)
         met |= set(both.decide(opinion, tick * TICK)[0])
     assert met == set(Flag)
 
 
 def test_wheels_that_grip_again_and_drives_that_are_known_again():
     """Not known for 0.09 to 0.2 s, or 12 % faster for 0.1 to 0.3 s; loads like no others'."""
-    rng, both, cleared = np.random.default_rng(8), Both([BENCH_MOTOR] * N, detector="switching"), 0
-    models = both.core.switching, both.plain.model
-    for model in models:
-        model.record["ticks"], model.record["every"] = 1, 2**30
+    rng, cleared = np.random.default_rng(8), 0
+    both, models = with_given_verdicts()
     gap, slip = np.zeros((2, N), dtype=int)
     for tick, given in enumerate(train_that_drives(rng, N, 5000)):
         if tick % 5 == 0:
@@ -252,9 +262,7 @@ def test_wheels_that_grip_again_and_drives_that_are_known_again():
         speed = given[2] * np.where(slip > 0, 1.12, 1.0)
         health = np.where(gap > 0, Health.CONVERGING, given[0])
         flag = both.status["flag"][:, FlagKind.ADHESION]["state"].copy()
-        opinion = both.tick(
-            columns.told(N), (health, given[1], speed, *given[3:]), tick * TICK, True
-        )  # fmt: skip
+        opinion = both.tick((health, given[1], speed, *given[3:]), tick * TICK)
         unlike = (adhering < 0.5) & (lost <= 0.1) & (flag == Flag.BAD)
         cleared += int((unlike & opinion.known & (opinion.lost == 0.0)).sum())
         both.decide(opinion, tick * TICK)
@@ -266,9 +274,7 @@ def test_one_drive_alone_is_lost_by_its_command():
     met = set()
     for seed in range(6):
         rng, both = np.random.default_rng(seed), Both([BENCH_MOTOR], detector="switching")
-        for tick, given in enumerate(train_that_drives(rng, 1, 200)):
-            opinion = both.tick(columns.told(1), given, tick * TICK, True)
-            met.add(both.decide(opinion, tick * TICK)[0])
+        met |= {states for _, (states, _) in both.run(train_that_drives(rng, 1, 200))}
     assert (Flag.BAD,) in met
 
 
@@ -276,7 +282,7 @@ def test_the_common_load_is_smoothed_no_further_than_to_itself():
     """Of ticks longer than its time constant."""
     both = Both([BENCH_MOTOR] * N, 500 * MS)
     for tick, given in enumerate(train_that_drives(np.random.default_rng(1), N, 20)):
-        both.tick(columns.told(N), given, tick * 500 * MS, True)
+        both.tick(given, tick * 500 * MS)
     known = both.core.record["common_smoothed"].item()
     assert known == both.core.record["common"].item()
 
@@ -295,12 +301,12 @@ def test_who_carries_what_nobody_asked_for_or_slows_down_does_not_only_roll(load
     """3.2 Nm is above a tenth of rated torque: these drives are compared, they do not roll."""
     both, numbers = Both([BENCH_MOTOR] * N, detector="switching"), np.full(N, 0.0)
     health = np.full(N, Health.TRACKING)
-    for tick in range(100):
-        speed = 80.0 * (1.0 - slows) ** tick
-        given = (health, numbers + load_nm, numbers + speed, numbers, numbers,
-                 (tick * TICK, True), numbers == 0.0, 1.0)  # fmt: skip
-        opinion = both.tick(columns.told(N), given, tick * TICK, True)
-        both.decide(opinion, tick * TICK)
+    given = (
+        (health, numbers + load_nm, numbers + 80.0 * (1.0 - slows) ** tick, numbers, numbers,
+         (tick * TICK, True), numbers == 0.0, 1.0)
+        for tick in range(100)
+    )  # fmt: skip
+    *_, (opinion, _) = both.run(given)
     assert (opinion.known == known).all()
 
 
@@ -309,15 +315,15 @@ def test_a_copy_goes_on_alone(detector):
     rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N, detector=detector)
     given = list(train_that_drives(rng, N, 60))
     for tick, one in enumerate(given[:30]):
-        both.tick(columns.told(N), one, tick * TICK, True)
+        both.tick(one, tick * TICK)
     twin, kept = copy.deepcopy(both.core), both.core.record.copy()
     for tick, one in enumerate(given[30:], 30):
-        both.tick(columns.told(N), one, tick * TICK, True)
+        both.tick(one, tick * TICK)
     assert twin.record["learn_ns"] == kept["learn_ns"] < both.core.record["learn_ns"]
     both.core, done = twin, both.core
     both.plain = None
     for tick, one in enumerate(given[30:], 30):
-        both.tick(columns.told(N), one, tick * TICK, True)
+        both.tick(one, tick * TICK)
     for name in ("rotors", "responses", "ratios", "loads", "loss_probability"):
         same_numbers(getattr(twin, name), getattr(done, name))
     twin.uncertain[:] = 7

@@ -4,22 +4,11 @@ import pytest
 
 from gateway.core.codes import FaultClass, Flag, Reason
 from gateway.core.inbox import Temperatures
-from gateway.settings.calibration import Calibration, MotorCalibration
+from tests.fleet_limits import calibration, motor
 from tests.sender import MS
 from tests.stations import TemperatureMonitor
 
 PERIOD = 100 * MS
-
-
-def learnt(nodes):
-    motors = (
-        MotorCalibration(node=node, gain=(1.0,) * 3, offset_k=(0.0,) * 3,
-                         longest_hold_s=(0.2,) * 3, largest_step_k=(0.5,) * 3)
-        for node in nodes
-    )  # fmt: skip
-    return Calibration(
-        window_s=2.0, maisd_limit_k=(1.0,) * 3, deviation_limit_k=(3.0,) * 3, motor=tuple(motors)
-    )
 
 
 def sound(k):
@@ -29,7 +18,8 @@ def sound(k):
 def replayed(drives, stator, readings=300, end=lambda _, k: sound(k), sensors=None):
     """Reports of every drive after each reading. stator(j, k), end(j, k): of drive j, degC."""
     nodes = tuple(range(1, drives + 1))
-    monitor = TemperatureMonitor(drives, PERIOD, 2.0, learnt(nodes), nodes, sensors)
+    learnt = calibration((motor(node, hold_s=0.2) for node in nodes), 1.0, 3.0)
+    monitor = TemperatureMonitor(drives, PERIOD, 2.0, learnt, nodes, sensors)
     out = []
     for k in range(readings):
         now = k * PERIOD

@@ -130,15 +130,19 @@ def test_after_random_holes_what_is_tracked_is_right(every, kind):
     assert tracked > 0.3 * n * ticks / TICK
 
 
-def test_a_doubt_silences_at_once():
-    """One tick of contradiction is no divergence yet, but no evidence either."""
+@pytest.mark.parametrize("doubt", ["angle", "sigma"])
+def test_a_doubt_silences_at_once(doubt):
+    """A tick of contradiction is no divergence yet, but no evidence; nor is a load hardly known."""
     truth = steady(100.0, 15.0)
     rows = sampled(truth, 16, 2e-4, seed=2)
     filters = bank(2)
     for end in range(TICK, 30 * TICK + 1, TICK):
         before = advance(filters, rows, end)
     assert [e.health for e in before] == [Health.TRACKING] * 2
-    filters.x[0, 3] += 2.5
+    if doubt == "angle":
+        filters.x[0, 3] += 2.5
+    else:
+        filters.tracks.best_sigma_nm[0] *= 0.4
     after = advance(filters, rows, 31 * TICK)
     assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
 
@@ -210,17 +214,6 @@ def test_currents_that_are_none_are_never_tracked(kind, blind):
     }  # fmt: skip
 
 
-def test_a_load_that_is_hardly_known_is_no_evidence():
-    truth = steady(100.0, 15.0)
-    rows = sampled(truth, 16, 2e-4, seed=2)
-    filters = bank(2)
-    for end in range(TICK, 30 * TICK + 1, TICK):
-        advance(filters, rows, end)
-    filters.tracks.best_sigma_nm[0] *= 0.4
-    after = advance(filters, rows, 31 * TICK)
-    assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
-
-
 @pytest.mark.parametrize("w", [2000.0, -3500.0, 5000.0])
 def test_fast_drives_on_the_fast_bus(w):
     """Ten samples per revolution: tracked, the load within a tenth."""
@@ -250,16 +243,19 @@ def test_what_the_lock_forgets_the_filter_begins_anew():
     assert said[-1] == [Health.CONVERGING, Health.TRACKING]
 
 
+def off_its_sheet(psi, r=1.0, **config):
+    """One drive, by a data sheet with so many times its flux and resistance."""
+    wrong = {"R_s": BENCH_MOTOR.R_s * r, "psi_pm": BENCH_MOTOR.psi_pm * psi}
+    return Bank([BENCH_MOTOR.model_copy(update=wrong)], Estimator(**config), 0.02)
+
+
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 @pytest.mark.parametrize(("r", "psi"), [(1.2, 1.0), (0.8, 1.0), (1.0, 0.95), (1.2, 1.05)])
 def test_a_motor_off_its_data_sheet_is_learnt_by_the_voltage_it_lacks(kind, r, psi):
     """Without that the speed stays off by as many per cent as the voltage."""
     w, load = 120.0, 15.0
     truth = steady(w, load, n=1, seconds=3.0)
-    sheet = BENCH_MOTOR.model_copy(
-        update={"R_s": BENCH_MOTOR.R_s * r, "psi_pm": BENCH_MOTOR.psi_pm * psi}
-    )
-    filters = Bank([sheet], Estimator(kind=kind), 0.02)
+    filters = off_its_sheet(psi, r, kind=kind)
     for _ in run(filters, truth, sampled(truth, 16, 2e-4, seed=4)):
         pass
     i_q = load / (1.5 * BENCH_MOTOR.pole_pairs * BENCH_MOTOR.psi_pm)
@@ -274,10 +270,7 @@ def test_what_the_motor_lacks_is_known_with_the_lock(r, psi):
     """The chords are too long by it: no transient of the load after the start."""
     w, load = 150.0, 15.0
     truth = steady(w, load, n=1, seconds=0.4)
-    sheet = BENCH_MOTOR.model_copy(
-        update={"R_s": BENCH_MOTOR.R_s * r, "psi_pm": BENCH_MOTOR.psi_pm * psi}
-    )
-    filters, off = Bank([sheet], Estimator(), 0.02), []
+    filters, off = off_its_sheet(psi, r), []
     for _, (estimate,), _ in run(filters, truth, sampled(truth, 16, 2e-4, seed=4)):
         if estimate.health is Health.TRACKING:
             off.append(abs(estimate.load_nm - load) / load)
@@ -290,12 +283,11 @@ def test_a_flux_that_no_resistance_explains_scales_the_load(psi):
     """The sheet's flux is off by a fifth; without this the load reads 20 % low or 25 % high."""
     load = 15.0
     truth = steady(150.0, load, n=1, seconds=2.0)
-    sheet = BENCH_MOTOR.model_copy(update={"psi_pm": BENCH_MOTOR.psi_pm * psi})
-    filters = Bank([sheet], Estimator(), 0.02)
+    filters = off_its_sheet(psi)
     said = [e[0].load_nm for _, e, _ in run(filters, truth, sampled(truth, 16, 2e-4, seed=5))]
     assert said[30] == pytest.approx(load, rel=0.16), "known with the lock"
     assert said[-1] == pytest.approx(load, rel=0.1)
-    right = Bank([BENCH_MOTOR], Estimator(), 0.02)
+    right = bank(1)
     for _ in run(right, truth, sampled(truth, 16, 2e-4, seed=5)):
         pass
     assert right.told.flux[0] == 1.0, "what is within the doubt changes nothing"

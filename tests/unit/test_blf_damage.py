@@ -80,6 +80,10 @@ def pieces(data):
     return [data[k : k + SIZE] for k in range(0, len(data), SIZE)]
 
 
+PARTS = pieces(b"".join(OBJECTS))
+CONTAINERS = [container(part) for part in PARTS]
+
+
 def flipped(data):
     """A container whose compressed bytes are damaged."""
     whole = bytearray(container(data))
@@ -130,10 +134,9 @@ def with_large_size(data):
 )  # fmt: skip
 @pytest.mark.parametrize("last", [False, True])
 def test_a_damaged_container_costs_its_objects_and_makes_none(tmp_path, damage, most, count, last):
-    parts = pieces(b"".join(OBJECTS))
-    whole = [container(part) for part in parts]
-    k = len(parts) - 1 if last else len(parts) // 2
-    whole[k] = damage(parts[k])
+    whole = CONTAINERS.copy()
+    k = len(PARTS) - 1 if last else len(PARTS) // 2
+    whole[k] = damage(PARTS[k])
     reader = Blf(blf(tmp_path / "a.blf", whole, count))
     frames = list(reader)
     good = {
@@ -152,16 +155,14 @@ def test_a_damaged_container_costs_its_objects_and_makes_none(tmp_path, damage, 
 
 
 def test_a_container_that_is_missing_is_counted(tmp_path):
-    whole = [container(part) for part in pieces(b"".join(OBJECTS))]
-    reader = Blf(blf(tmp_path / "a.blf", whole[:40] + whole[41:], COUNT))
+    reader = Blf(blf(tmp_path / "a.blf", CONTAINERS[:40] + CONTAINERS[41:], COUNT))
     assert len(list(reader)) + reader.counts[Verdict.MALFORMED] == COUNT
 
 
 def test_more_than_one_percent_lost_is_exit_1(tmp_path, capsys):
-    parts = pieces(b"".join(OBJECTS))
-    whole = [container(part) for part in parts]
+    whole = CONTAINERS.copy()
     for k in (20, 40):
-        whole[k] = flipped(parts[k])
+        whole[k] = flipped(PARTS[k])
     path = blf(tmp_path / "a.blf", whole, COUNT)
     assert main(["convert", str(path), str(tmp_path / "a.log")]) == 1
     shown = capsys.readouterr()
@@ -181,9 +182,8 @@ def test_data_that_look_like_an_object_make_no_frame(tmp_path):
 
 
 def test_a_cut_file_counts_what_its_header_promises(tmp_path):
-    whole = [container(part) for part in pieces(b"".join(OBJECTS))]
-    path = blf(tmp_path / "a.blf", whole, COUNT)
-    path.write_bytes(path.read_bytes()[: -sum(map(len, whole[50:])) - 10])
+    path = blf(tmp_path / "a.blf", CONTAINERS, COUNT)
+    path.write_bytes(path.read_bytes()[: -sum(map(len, CONTAINERS[50:])) - 10])
     reader = Blf(path)
     frames = list(reader)
     assert len(frames) + reader.counts[Verdict.CUT] == COUNT

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from dbc.candump.writer import Writer
 from dbc.e2e import counter_of, protect
 from dbc.frame import Frame
 from gateway.cli import main
@@ -12,7 +11,7 @@ from gateway.settings.config import shipped_dbc
 from gateway.settings.motors import BENCH_MOTOR
 from sim.simulation import Simulation
 from tests.inverters import spoken
-from tests.simrun import codec, run, scenario
+from tests.simrun import codec, log_of, run, scenario
 from tests.unit.test_foreign import mapped
 
 SCENARIO = {"seed": 5, "duration_s": 4.0, "drives": 2}
@@ -23,16 +22,9 @@ def frames():
     return run(Simulation(scenario(**SCENARIO), codec()), 4.0)
 
 
-def log_of(path, frames):
-    with Writer(path) as writer:
-        for frame in sorted(frames, key=lambda f: f.t_ns):
-            writer.write(frame, "can0")
-    return str(path)
-
-
 def check(tmp_path, text, log, capsys, *more):
     (tmp_path / "t.toml").write_text(text)
-    code = main(["check", str(tmp_path / "t.toml"), "--no-timing", "--log", log, *more])
+    code = main(["check", str(tmp_path / "t.toml"), "--no-timing", "--log", str(log), *more])
     lines = capsys.readouterr().out.splitlines()
     verdicts = "fits: ", "DOES NOT FIT: ", "unknown: "
     return code, [line for line in lines if any(word in line for word in verdicts)]

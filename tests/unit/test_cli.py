@@ -45,16 +45,6 @@ def folder(tmp_path_factory):
     return here
 
 
-def refused(capsys, *words):
-    """Exit code 2, one line on stderr that is not a traceback; the line."""
-    assert main([str(w) for w in words]) == 2
-    said = capsys.readouterr().err.strip()
-    assert said.startswith("traction-gateway: ")
-    assert "\n" not in said
-    assert "Traceback" not in said
-    return said
-
-
 def test_truth_has_a_row_per_drive_every_10_ms(folder):
     rows = list(csv.DictReader((folder / "truth.csv").read_text().splitlines()))
     assert list(rows[0]) == [
@@ -110,29 +100,29 @@ def test_replay_output_is_only_the_gateways_frames_on_the_logs_clock(folder):
     assert ticks == list(range(len(ticks)))
 
 
-def test_bad_input_is_one_clear_line(folder, capsys, tmp_path):
-    assert "no such file" in refused(capsys, "replay", tmp_path / "none.log")
+def test_bad_input_is_one_clear_line(folder, refused, tmp_path):
+    assert "no such file" in refused("replay", tmp_path / "none.log")
     empty = tmp_path / "empty.log"
     empty.write_text("")
-    assert "no frame" in refused(capsys, "replay", empty)
+    assert "no frame" in refused("replay", empty)
     bad = tmp_path / "bad.toml"
     bad.write_text("[loop]\nrate = 5\n")
-    assert "loop.rate" in refused(capsys, "replay", folder / "s.log", "--config", bad)
+    assert "loop.rate" in refused("replay", folder / "s.log", "--config", bad)
     bad.write_text('[dbc]\nfile = "none.dbc"\n')
-    assert "none.dbc" in refused(capsys, "check", bad)
+    assert "none.dbc" in refused("check", bad)
     bad.write_text('[dbc]\nfile = "broken.dbc"\n')
     (tmp_path / "broken.dbc").write_text("BO_ garbage")
-    assert "broken.dbc" in refused(capsys, "check", bad)
+    assert "broken.dbc" in refused("check", bad)
     log = folder / "s.log"
-    assert "adhesion.detector" in refused(capsys, "replay", log, "--detector", "wibble")
+    assert "adhesion.detector" in refused("replay", log, "--detector", "wibble")
     bad.write_text('title = "x"\nduration_s = -1\nwrong = 2\n')
-    said = refused(capsys, "hil", bad)
+    said = refused("hil", bad)
     assert "duration_s" in said
     assert "wrong" in said
-    assert "no_such" in refused(capsys, "sim", "no_such")
+    assert "no_such" in refused("sim", "no_such")
 
 
-def test_garbage_lines_are_counted_and_strict_stops(folder, capsys, tmp_path):
+def test_garbage_lines_are_counted_and_strict_stops(folder, capsys, refused, tmp_path):
     lines = (folder / "s.log").read_bytes().splitlines(keepends=True)
     lines[100:100] = [b"garbage\n", b"\x00\x00\x00\n", b"(1.0) vcan0 123#1\n"]
     dirty = tmp_path / "dirty.log"
@@ -141,14 +131,14 @@ def test_garbage_lines_are_counted_and_strict_stops(folder, capsys, tmp_path):
     out, err = capsys.readouterr()
     assert "malformed" in out
     assert "101" in err
-    assert "101" in refused(capsys, "replay", dirty, "--strict")
+    assert "101" in refused("replay", dirty, "--strict")
 
 
-def test_several_channels_need_a_name(folder, capsys, tmp_path):
+def test_several_channels_need_a_name(folder, refused, tmp_path):
     text = (folder / "s.log").read_text().splitlines()
     mixed = tmp_path / "mixed.log"
     mixed.write_text("\n".join([*text, text[-1].replace("vcan0", "can7")]) + "\n")
-    assert "--log-channel" in refused(capsys, "replay", mixed)
+    assert "--log-channel" in refused("replay", mixed)
     assert main(["replay", str(mixed), "--log-channel", "vcan0"]) == 0
 
 
@@ -165,11 +155,11 @@ def test_hil_judges_and_writes_junit(folder, capsys, tmp_path):
     assert "FAIL" in capsys.readouterr().out
 
 
-def test_a_report_of_the_timing_needs_a_folder(capsys, tmp_path):
+def test_a_report_of_the_timing_needs_a_folder(capsys, refused, tmp_path):
     results, file = tmp_path / "r", tmp_path / "file"
     file.write_text("")
     bus = ("-i", "virtual", "-c", "timing")
-    assert str(file) in refused(capsys, "run", *bus, "--results", file)
+    assert str(file) in refused("run", *bus, "--results", file)
     words = ["run", *bus, "--quiet", "--duration", "0.05", "--results", str(results)]
     assert main(words) == 0
     assert f"report: {results / 'report.html'}" in capsys.readouterr().out
@@ -211,20 +201,20 @@ def test_check_knows_the_bus_load_of_the_contract(capsys, tmp_path):
     assert "above 80 %" in err
 
 
-def test_calibrate_then_replay_knows_thermal(folder, capsys, tmp_path):
+def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
     healthy = tmp_path / "h.toml"
     healthy.write_text('title = "h"\nseed = 3\nduration_s = 30\ndrives = 3\ntraffic = "slow"\n')
     log = tmp_path / "h.log"
     assert main(["sim", str(healthy), "-o", str(log)]) == 0
     cells = tmp_path / "cells.toml"
-    said = refused(capsys, "calibrate", log, "-o", cells)
+    said = refused("calibrate", log, "-o", cells)
     assert " s, 300 s needed (a single log is split: 70%" in said, "too short for a model"
     assert not cells.exists()
     assert main(["calibrate", str(log), "-o", str(cells), "--without-model"]) == 0
     config = tmp_path / "c.toml"
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
     assert "no thermal model" in capsys.readouterr().out, "seconds are too short for one"
-    assert "no thermal model" in refused(capsys, "replay", log, "--config", config)
+    assert "no thermal model" in refused("replay", log, "--config", config)
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\nmethod = "maisd"\n')
     assert main(["replay", str(log), "--config", str(config)]) == 0
     out = capsys.readouterr().out
@@ -241,17 +231,15 @@ def test_help_and_version(capsys):
     assert stop.value.code == 0
 
 
-def test_outputs_that_cannot_be_are_one_line(folder, capsys, tmp_path):
+def test_outputs_that_cannot_be_are_one_line(folder, refused, tmp_path):
     log = folder / "s.log"
     size = log.stat().st_size
-    assert "is the log itself" in refused(capsys, "replay", log, "-o", log)
+    assert "is the log itself" in refused("replay", log, "-o", log)
     assert log.stat().st_size == size
-    assert "No space left on device: '/dev/full'" in refused(
-        capsys, "replay", log, "-o", "/dev/full"
-    )
-    refused(capsys, "replay", log, "-o", log / "x.log")
-    refused(capsys, "replay", log, "--results", log)
-    assert "folder" in refused(capsys, "replay", tmp_path)
+    assert "No space left on device: '/dev/full'" in refused("replay", log, "-o", "/dev/full")
+    refused("replay", log, "-o", log / "x.log")
+    refused("replay", log, "--results", log)
+    assert "folder" in refused("replay", tmp_path)
 
 
 def test_an_option_given_twice_is_refused(folder, capsys):
@@ -263,22 +251,22 @@ def test_an_option_given_twice_is_refused(folder, capsys):
 @pytest.mark.parametrize(
     ("name", "said"), [("/dev/full", "File exists"), ("/dev/full/r", "is not a folder")]
 )
-def test_a_folder_that_is_a_file_is_one_line(folder, capsys, name, said):
-    assert main(["replay", str(folder / "s.log"), "--results", name]) == 2
-    assert f"{name}: {said}; name another one" in capsys.readouterr().err
+def test_a_folder_that_is_a_file_is_one_line(folder, refused, name, said):
+    assert f"{name}: {said}; name another one" in refused(
+        "replay", folder / "s.log", "--results", name
+    )
 
 
-def test_a_log_with_cr_line_ends_is_refused_with_the_cure(folder, capsys, tmp_path):
+def test_a_log_with_cr_line_ends_is_refused_with_the_cure(folder, refused, tmp_path):
     path = tmp_path / "cr.log"
     path.write_bytes((folder / "s.log").read_bytes().replace(b"\n", b"\r"))
-    assert main(["replay", str(path)]) == 2
-    assert "lines end in CR only; change them with `tr" in capsys.readouterr().err
+    assert "lines end in CR only; change them with `tr" in refused("replay", path)
 
 
-def test_of_several_logs_the_one_without_frames_is_named(folder, capsys, tmp_path):
+def test_of_several_logs_the_one_without_frames_is_named(folder, refused, tmp_path):
     (tmp_path / "none.log").write_text("")
     words = ["calibrate", folder / "s.log", tmp_path / "none.log", "-o", tmp_path / "c.toml"]
-    assert "none.log: no frame in the log" in refused(capsys, *words)
+    assert "none.log: no frame in the log" in refused(*words)
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "-1", "0", "soon"])

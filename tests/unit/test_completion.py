@@ -11,16 +11,13 @@ from gateway.cli import VERBS, main
 from gateway.core.codes import FaultClass, Health, Reason
 from gateway.settings.config import shipped_dbc
 from tests.docs.codes import PAGE, page
+from tests.programs import gateway
 
 
 @pytest.fixture(scope="module")
 def script(tmp_path_factory):
     path = tmp_path_factory.mktemp("shell") / "complete.sh"
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", "completion", "bash"], capture_output=True, text=True,
-        check=True,
-    )  # fmt: skip
-    path.write_text(done.stdout)
+    path.write_text(gateway("completion", "bash").stdout)
     return path
 
 
@@ -60,10 +57,9 @@ def test_other_shells_have_one_too(shell, capsys):
     assert "replay" in said
 
 
-def test_without_shtab_it_says_what_to_install(monkeypatch, capsys):
+def test_without_shtab_it_says_what_to_install(monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "shtab", None)
-    assert main(["completion", "bash"]) == 2
-    assert "needs shtab: pip install 'shtab" in capsys.readouterr().err
+    assert "needs shtab: pip install 'shtab" in refused("completion", "bash")
 
 
 NOT_AVAILABLE = 15

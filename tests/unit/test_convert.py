@@ -25,6 +25,7 @@ from dbc.spec import Validity
 from gateway import cli
 from gateway.io import extras
 from gateway.io.replay import open_log
+from gateway.logfiles.frames import ParquetFrames, read_parquet
 from gateway.logfiles.signals import Decoder
 
 DBC = Path(__file__).parents[2] / "dbc" / "traction.dbc"
@@ -53,6 +54,15 @@ def log_of(path, frames):
     with Writer(path) as writer:
         for frame in frames:
             writer.write(frame)
+    return path
+
+
+def parquet_of(path, frames):
+    """In two blocks."""
+    sink = ParquetFrames(path)
+    sink.add(block_of(frames[:3]))
+    sink.add(block_of(frames[3:]))
+    sink.close()
     return path
 
 
@@ -127,25 +137,11 @@ def test_frames_there_and_back(tmp_path, kind, capsys):
     assert np.abs(errors).max() <= error_ns
 
 
-def test_parquet_frames_are_exact_to_the_nanosecond():
+def test_parquet_frames_are_exact_to_the_nanosecond(tmp_path):
     frames = [f._replace(t_ns=f.t_ns + k) for k, f in enumerate(KINDS)]
     frames.append(Frame(-7, 0x1FFF_FFFF, b"\xff", EXTENDED, "a name"))
     frames.append(Frame(2**62, 1, b"\1" * 8, 0, "", 15))
-    assert list(_parquet_back(frames)) == frames
-
-
-def _parquet_back(frames):
-    import tempfile
-
-    from gateway.logfiles.frames import ParquetFrames, read_parquet
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "x.parquet"
-        sink = ParquetFrames(path)
-        sink.add(block_of(frames[:3]))
-        sink.add(block_of(frames[3:]))
-        sink.close()
-        yield from list(read_parquet(path))
+    assert list(read_parquet(parquet_of(tmp_path / "x.parquet", frames))) == frames
 
 
 # ---- signals -----------------------------------------------------------------------------------
@@ -175,14 +171,7 @@ def expected():
 @pytest.fixture
 def source(tmp_path, expected):
     # Nanoseconds, which candump has not: Parquet of frames.
-    from gateway.logfiles.frames import ParquetFrames
-
-    path = tmp_path / "frames.parquet"
-    sink = ParquetFrames(path)
-    sink.add(block_of(expected[0][:150]))
-    sink.add(block_of(expected[0][150:]))
-    sink.close()
-    return path
+    return parquet_of(tmp_path / "frames.parquet", expected[0])
 
 
 def check(found, wanted):

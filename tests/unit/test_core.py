@@ -120,11 +120,10 @@ def test_one_drive_alone_without_a_command_cannot_be_judged():
 def test_silence_is_stale_within_three_periods_and_a_tick():
     bench = Bench(gateway(), drives())
     bench.run(60)
-    quiet = Bench.run
     silent = lambda frames, now: [f for f in frames if (f.can_id & 0x7F) % 16 != 2]  # noqa: E731
-    view = quiet(bench, 1, silent)
+    view = bench.run(1, silent)
     assert view.drives[1].adhesion is Flag.GOOD  # 10 ms old: within 3 * 2 ms + 10 ms
-    view = quiet(bench, 1, silent)
+    view = bench.run(1, silent)
     assert view.drives[1].adhesion is Flag.UNKNOWN
     assert view.adhesion_reason is Reason.STALE
     assert view.comm is Flag.BAD
@@ -157,6 +156,18 @@ def test_bad_frames_of_one_drive_are_counted_and_make_it_unknown(touch, reason, 
     assert bench.core.inbox.counts[counter] == 20
 
 
+def instead(bench, **values):
+    """What the second drive says of its currents, with the counters of what it would say."""
+    mine = bench.motors[1].currents
+
+    def touch(frames, now):
+        mine.counter -= 5
+        bad = [mine.frame(f.t_ns, **values) for f in frames if f.can_id == mine.spec.can_id]
+        return [f for f in frames if f.can_id != mine.spec.can_id] + bad
+
+    return touch
+
+
 @pytest.mark.parametrize(
     ("values", "reason", "counter"),
     [
@@ -169,18 +180,7 @@ def test_bad_frames_of_one_drive_are_counted_and_make_it_unknown(touch, reason, 
 def test_not_available_and_saturated_values_make_unknown_at_once(values, reason, counter):
     bench = Bench(gateway(), drives())
     bench.run(60)
-    mine = bench.motors[1].currents
-
-    def touch(frames, now):
-        mine.counter -= 5
-        bad = [
-            mine.frame(f.t_ns, **{"Ia": 0.0, "Ib": 0.0, "Ic": 0.0, **values})
-            for f in frames
-            if f.can_id == mine.spec.can_id
-        ]
-        return [f for f in frames if f.can_id != mine.spec.can_id] + bad
-
-    view = bench.run(1, touch)
+    view = bench.run(1, instead(bench, **{"Ia": 0.0, "Ib": 0.0, "Ic": 0.0, **values}))
     assert view.drives[1].adhesion is Flag.UNKNOWN
     assert view.drives[1].adhesion_reason is reason
     assert view.drives[1].health is Health.INPUT_INVALID
@@ -207,18 +207,7 @@ def test_repeated_counters_are_a_sequence_fault_and_never_used_twice():
 def test_currents_that_do_not_add_up_are_contradictory():
     bench = Bench(gateway(), drives())
     bench.run(60)
-    mine = bench.motors[1].currents
-
-    def touch(frames, now):
-        mine.counter -= 5
-        bad = [
-            mine.frame(f.t_ns, Ia=20.0, Ib=20.0, Ic=20.0)
-            for f in frames
-            if f.can_id == mine.spec.can_id
-        ]
-        return [f for f in frames if f.can_id != mine.spec.can_id] + bad
-
-    view = bench.run(5, touch)
+    view = bench.run(5, instead(bench, Ia=20.0, Ib=20.0, Ic=20.0))
     assert view.drives[1].adhesion_reason is Reason.RANGE
     assert view.sensor is Flag.BAD
 

@@ -95,6 +95,14 @@ class Line:
         self.now += 10 * MS * frames
 
 
+@pytest.fixture
+def line():
+    """One on which a frame has been accepted."""
+    line = Line(freshness=1 << COUNT_BITS)
+    assert line.tick()
+    return line
+
+
 def test_genuine_frames_are_accepted_from_the_first_where_the_start_is_known():
     line = Line(trip=7, freshness=7 << COUNT_BITS)
     assert all(line.tick(key) for key in (ADHESION, FAULTS) * 50)
@@ -116,9 +124,7 @@ def test_a_flag_frame_changed_in_any_bit_is_not_accepted(byte):
         assert line.receiver.failed == 1
 
 
-def test_neither_another_identifier_nor_a_changed_tag_is_accepted():
-    line = Line(freshness=1 << COUNT_BITS)
-    assert line.tick()
+def test_neither_another_identifier_nor_a_changed_tag_is_accepted(line):
     key, data, low, mac = line.made()
     assert line.hear((FAULTS, data, low, mac)) is None
     for bit in range(32):
@@ -174,19 +180,15 @@ def test_a_tag_without_a_flag_frame_or_too_late_says_nothing():
 @pytest.mark.parametrize(
     ("lost", "after"), [(0, 1), (WINDOW - 1, 1), (WINDOW, SURE), (70_000, SURE)]
 )
-def test_after_a_loss(lost, after):
+def test_after_a_loss(line, lost, after):
     """A short one costs what was lost; a long one two frames more."""
-    line = Line(freshness=1 << COUNT_BITS)
-    assert line.tick()
     line.lose(lost)
     heard = [line.tick() for _ in range(5)]
     assert heard == [False] * (after - 1) + [True] * (6 - after)
 
 
 @pytest.mark.parametrize("starts", [1, 2, TRIPS])
-def test_after_restarts_of_the_gateway(starts):
-    line = Line(freshness=1 << COUNT_BITS)
-    assert line.tick()
+def test_after_restarts_of_the_gateway(line, starts):
     line.sender = Authenticator(KEY, 1 + starts)
     line.now += SECOND
     heard = [line.tick() for _ in range(5)]
@@ -276,13 +278,11 @@ def test_under_that_flood_a_restart_and_a_long_loss_are_bridged_as_without_it(st
     assert [flooded(line, rng, 80) for _ in range(5)] == expected
 
 
-def test_the_search_is_rate_limited_and_a_heard_sender_is_not_searched_for(monkeypatch):
+def test_the_search_is_rate_limited_and_a_heard_sender_is_not_searched_for(monkeypatch, line):
     tried = []
     plain = Macs.of
     monkeypatch.setattr(Macs, "of", lambda *words: tried.append(1) or plain(*words))
-    line, rng = Line(freshness=1 << COUNT_BITS), random.Random(3)
-    assert line.tick()
-    tried.clear()
+    rng = random.Random(3)
     for _ in range(100):
         line.receiver.flag(ADHESION, bytes(8), line.now)
         line.receiver.auth(rng.getrandbits(16), rng.getrandbits(32), line.now)
@@ -296,9 +296,8 @@ def test_the_search_is_rate_limited_and_a_heard_sender_is_not_searched_for(monke
     assert SWEEP_RATE * 0.9 < len(tried) < SWEEP_RATE + SWEEP + 9000 * (AT_ONCE + 2 + WAITING)
 
 
-def test_failures_are_told_once_a_second():
-    line, rng = Line(freshness=1 << COUNT_BITS), random.Random(4)
-    assert line.tick()
+def test_failures_are_told_once_a_second(line):
+    rng = random.Random(4)
     assert line.receiver.notice(line.now) is None
     said = []
     for _ in range(300):

@@ -12,7 +12,6 @@ import pytest
 
 from dbc.codec import bind
 from dbc.frame import MS, SECOND
-from dbc.frames import block_of
 from gateway.cli import main
 from gateway.core.gateway import Gateway
 from gateway.hil import buses as hilbus
@@ -20,13 +19,13 @@ from gateway.hil.bench import Outcome
 from gateway.hil.buses import bus_arguments, run_on_real_bus
 from gateway.io.endings import Ended, raised
 from gateway.io.realtime import Ticker
-from gateway.io.transport import SendResult, Status
 from gateway.reports.expectations import Verdict
 from gateway.reports.reporting import Reporting, leave
 from gateway.reports.truth import HEADER
 from gateway.settings.config import parse
 from sim.scenario import parse_text
 from sim.simulation import Simulation
+from tests.buses import Bus
 
 LATE_NS = 200 * MS
 """The drives' program takes this long until it is on the bus."""
@@ -47,18 +46,17 @@ never = true
 """
 
 
-class World:
+class World(Bus):
     """Drives, their process, the bus and its clock; the drives leave when the scenario ends."""
 
     def __init__(self, scenario, codec):
+        super().__init__()
         self.now_ns = 0
-        self.status = Status()
         self.ended_ns = LATE_NS + round(scenario.duration_s * SECOND)
         self.terminated = False
         self.returncode = 0
         self.words = []
         self._simulation = Simulation(scenario, codec, self_start=False)
-        self._sent = []
 
     def sleep(self, seconds):
         self.now_ns += round(seconds * SECOND)
@@ -67,20 +65,10 @@ class World:
         assert timeout_s == 0.0
         if not LATE_NS <= self.now_ns <= self.ended_ns:
             return []
-        frames = self._simulation.step(self._sent, self.now_ns - LATE_NS)
-        self._sent = []
+        frames = self._simulation.step(self.sent, self.now_ns - LATE_NS)
+        self.sent = []
         self.status.received += len(frames)
         return [f._replace(t_ns=f.t_ns + LATE_NS) for f in frames]
-
-    def receive_block(self, timeout_s):
-        return block_of(self.receive(timeout_s))
-
-    def send(self, frame):
-        self._sent.append(frame)
-        return self.status.count(SendResult.SENT)
-
-    def close(self):
-        pass
 
     def start(self, words):
         """The drives' process; of the truth it leaves one row."""

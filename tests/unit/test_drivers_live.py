@@ -7,26 +7,12 @@ import signal
 import pytest
 
 from dbc.frame import MS, Frame
-from dbc.frames import block_of
 from gateway.io.canopen_node import CanopenNode, GatewayError
 from gateway.io.live import Stop, run_live, stop_on_signals
 from gateway.io.realtime import Ticker
-from gateway.io.transport import LinkState, SendResult, Status
+from tests.buses import Bus, Clock
 
 FLAGS = 0x1A0
-
-
-class Clock:
-    """A clock that only sleeping and the test move."""
-
-    def __init__(self):
-        self.now = 5_000 * MS
-
-    def __call__(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += round(seconds * 1e9)
 
 
 class Core:
@@ -73,18 +59,15 @@ class Core:
         return [Frame(now_ns, FLAGS, b"unknown!")]
 
 
-class Bus:
-    """A transport that gives two frames per tick and takes its time when told to."""
+class Pair(Bus):
+    """Gives two frames per tick, and takes its time when told to; `journal` are its calls."""
 
     def __init__(self, clock, journal):
-        self.status = Status(state=LinkState.UP)
-        self.journal = journal
-        self.sent = []
+        super().__init__()
+        self.calls = self.journal = journal
         self.stall = {}
         self._clock = clock
         self._reads = 0
-
-    def open(self): ...
 
     def receive(self, timeout_s):
         assert timeout_s == 0.0
@@ -94,26 +77,19 @@ class Bus:
         self._reads += 1
         return [Frame(stamp, 0x181, b""), Frame(stamp, 0x182, b"")]
 
-    def receive_block(self, timeout_s):
-        return block_of(self.receive(timeout_s))
-
     def send(self, frame):
         self.journal.append(f"send {frame.can_id:03X}")
-        self.sent.append(frame)
-        return self.status.count(SendResult.SENT)
-
-    def close(self):
-        self.journal.append("close")
+        return super().send(frame)
 
 
 class Setup:
     """Everything the loop needs, ending after a number of ticks."""
 
     def __init__(self, ticks=3):
-        self.clock = Clock()
+        self.clock = Clock(5_000 * MS)
         self.journal = []
         self.core = Core(self.journal)
-        self.bus = Bus(self.clock, self.journal)
+        self.bus = Pair(self.clock, self.journal)
         self.ticker = Ticker(10 * MS, self.clock, self.clock.sleep)
         self.stop = Stop()
         self.snapshots = []

@@ -13,7 +13,6 @@ import pytest
 
 from dbc.codec import bind
 from dbc.frame import MS, SECOND, Frame
-from dbc.frames import block_of
 from gateway.core.gateway import Gateway
 from gateway.io import log_setup as logs
 from gateway.io.canopen_node import CanopenNode
@@ -21,22 +20,10 @@ from gateway.io.live import Stop, run_live
 from gateway.io.outputs import Outputs
 from gateway.io.realtime import Ticker
 from gateway.io.service import Manager, Overseer
-from gateway.io.transport import LinkState, SendResult, Status
+from gateway.io.transport import LinkState, SendResult
 from gateway.settings.config import parse
-
-
-class Clock:
-    def __init__(self):
-        self.now = 1000 * SECOND
-
-    def __call__(self):
-        return self.now
-
-    def seconds(self):
-        return self.now / SECOND
-
-    def sleep(self, seconds):
-        self.now += round(seconds * SECOND)
+from tests.buses import Bus, Clock
+from tests.programs import gateway
 
 
 @pytest.fixture
@@ -91,28 +78,23 @@ def test_what_nobody_has_told_of_is_counted():
     assert limit.suppressed() == 3
 
 
-class Storm:
-    """A bus on which everything goes wrong in every tick, and never the same way twice."""
+class Storm(Bus):
+    """Everything goes wrong in every tick, and never the same way twice."""
 
-    def __init__(self):
-        self.status = Status(state=LinkState.UP)
-        self.tick = 0
+    tick = 0
 
-    def receive_block(self, timeout_s):
+    def receive(self, timeout_s):
         self.tick += 1
         k = self.tick
         self.status.state = LinkState.DOWN if k % 2 else LinkState.UP
         self.status.note = f"vcan0 is bad in way {k}"
-        bad = [Frame(k, 0x181, bytes((k % 256, *range(7)))), Frame(k, 0x1A0, b"\x00" * 8),
-               Frame(k, 0x000, b"\x80\x00"), Frame(k, 0x080 + 1, b"\x01" * 3),
-               *(Frame(k, 0x700 + n, b"\x7f") for n in (1, 2, 3))]  # fmt: skip
-        return block_of(bad)
+        return [Frame(k, 0x181, bytes((k % 256, *range(7)))), Frame(k, 0x1A0, b"\x00" * 8),
+                Frame(k, 0x000, b"\x80\x00"), Frame(k, 0x080 + 1, b"\x01" * 3),
+                *(Frame(k, 0x700 + n, b"\x7f") for n in (1, 2, 3))]  # fmt: skip
 
     def send(self, frame):
         kinds = (SendResult.FAILED, SendResult.FULL, SendResult.DOWN, SendResult.REFUSED)
         return self.status.count(kinds[self.tick % 4])
-
-    def close(self): ...
 
 
 def test_a_storm_of_everything_is_a_few_lines_a_minute(clock, written):
@@ -180,10 +162,8 @@ def test_a_line_of_json_has_everything():
 @pytest.mark.parametrize("form", ["--log-format=json", "--log-format json", "--log-f json"])
 def test_the_log_of_a_verb_as_json(form):
     words = ["run", "-v", "-i", "virtual", "-c", "x", "--quiet", "--duration", "0.05"]
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", *words, *form.split()],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    done = gateway(*words, *form.split())
+    assert done.returncode == 0
     lines = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
     assert "configuration " in " ".join(line["message"] for line in lines)
     # An error where the machine is so busy that a tick comes too late to be sent.
@@ -195,10 +175,7 @@ def test_the_log_of_a_verb_as_json(form):
 
 
 def test_an_error_ends_a_log_of_json_with_a_line_of_json():
-    words = ["check", "no-such.toml", "--log-format", "json"]
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False
-    )
+    done = gateway("check", "no-such.toml", "--log-format", "json")
     assert done.returncode == 2
     got = json.loads(done.stderr)
     assert got["level"] == "error"

@@ -11,6 +11,7 @@ from dbc.logs.python_can import from_message, to_message
 from gateway.io.pythoncan import PythonCan
 from gateway.io.transport import LinkState, SendResult
 from gateway.settings.config import ConfigError
+from tests.buses import Clock
 
 FRAMES = [
     Frame(0, 0x181, b"\x01\x02\x03", 0, "bus"),
@@ -102,16 +103,6 @@ def test_without_the_makers_library_each_interface_is_refused_or_waited_for(name
 def test_unknown_interface_or_option_is_a_configuration_error():
     with pytest.raises(ConfigError, match="nonsense"):
         PythonCan({"interface": "nonsense", "channel": "0"}).open()
-
-
-class Clock:
-    """A clock the test moves."""
-
-    def __init__(self):
-        self.now = 100 * SECOND
-
-    def __call__(self):
-        return self.now
 
 
 class BadBus(can.BusABC):

@@ -9,26 +9,11 @@ from dbc.frame import MS
 from gateway.io.realtime import Histogram, Ticker
 from gateway.io.timing import STAGES, Timing
 from gateway.reports.timing import leave
-
-
-class Clock:
-    """Monotonic time that advances by sleeping, `late_ns` more than asked."""
-
-    def __init__(self):
-        self.now = 1_000 * MS
-        self.late_ns = 0
-        self.sleeps = 0
-
-    def __call__(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.sleeps += 1
-        self.now += round(seconds * 1e9) + self.late_ns
+from tests.buses import Clock
 
 
 def make(period_ns=10 * MS):
-    clock = Clock()
+    clock = Clock(1_000 * MS)
     return clock, Ticker(period_ns, clock, clock.sleep)
 
 
@@ -72,7 +57,7 @@ def test_missed_ticks_are_skipped_and_counted(stall_ms, number, missed):
 
 
 def test_a_sleep_that_ends_early_is_repeated():
-    clock = Clock()
+    clock = Clock(1_000 * MS)
 
     def short(seconds):
         clock.sleep(min(seconds, 0.004))

@@ -3,8 +3,6 @@
 import os
 import resource
 import socket
-import subprocess
-import sys
 
 import pytest
 
@@ -13,6 +11,7 @@ from gateway.io import scheduling
 from gateway.io.links import Facts
 from gateway.io.wire import BusState
 from gateway.settings.config import ConfigError
+from tests.programs import printed
 
 REAL = """
 import os, threading
@@ -52,14 +51,14 @@ else:
 
 
 def test_what_was_given_from_outside_is_used_and_not_asked_for():
-    done = subprocess.run([sys.executable, "-c", GIVEN], capture_output=True, text=True, check=True)
-    if done.stdout.startswith("refused"):
+    lines = printed(GIVEN)
+    if lines[0].startswith("refused"):
         assert os.geteuid() != 0
         return
-    for line in done.stdout.splitlines():
+    for line in lines:
         assert line.startswith("SCHED_FIFO 10 reset on fork, ")
         assert int(line.split()[-3]) > 0, "MiB locked"
-    assert len(done.stdout.splitlines()) == 2
+    assert len(lines) == 2
 
 
 def test_an_ordinary_start_is_described():
@@ -67,11 +66,12 @@ def test_an_ordinary_start_is_described():
 
 
 def test_a_thread_started_later_never_inherits_the_priority():
-    done = subprocess.run([sys.executable, "-c", REAL], capture_output=True, text=True, check=True)
-    if done.stdout.startswith("refused"):
-        assert "CAP_SYS_NICE" in done.stdout or "ulimit -l" in done.stdout
+    lines = printed(REAL)
+    if lines[0].startswith("refused"):
+        said = "\n".join(lines)
+        assert "CAP_SYS_NICE" in said or "ulimit -l" in said
     else:
-        assert done.stdout == "real True True True\nordinary True\n"
+        assert lines == ["real True True True", "ordinary True"]
 
 
 def test_what_the_kernel_refuses_is_said_with_its_cure(monkeypatch):

@@ -120,6 +120,16 @@ class FakeKernel(Kernel):
         self.sockets[-1].to_read.append((payload, control))
 
 
+OFF = Frame(0, 0x040, bytes(8), ERROR)
+RESTARTED = Frame(0, 0x100, bytes(8), ERROR)
+
+
+def error(kernel, frame):
+    """`pack` does not make error frames: nobody sends them."""
+    word = struct.pack("=IB3x", frame.can_id | 0x2000_0000, 8) + frame.data
+    kernel.sockets[-1].to_read.append((word, []))
+
+
 @pytest.fixture
 def kernel():
     return FakeKernel()
@@ -224,15 +234,11 @@ def test_drops_are_counted_across_wrap_and_reopening(kernel, bus):
 
 
 def test_error_frames_set_the_bus_state_and_data_ends_bus_off(kernel, bus):
-    def error(word, detail):
-        payload = struct.pack("=IBBBB", word | 0x2000_0000, 8, 0, 0, 0)
-        kernel.sockets[-1].to_read.append((payload + bytes((0, detail, 0, 0, 0, 0, 0, 0)), []))
-
-    error(0x004, 0x10)
+    error(kernel, Frame(0, 0x004, bytes((0, 0x10, 0, 0, 0, 0, 0, 0)), ERROR))
     (frame,) = bus.receive(0.0)
     assert frame.flags == ERROR
     assert bus.status.bus_state is BusState.PASSIVE
-    error(0x040, 0)
+    error(kernel, OFF)
     bus.receive(0.0)
     assert bus.status.bus_state is BusState.BUS_OFF
     assert bus.send(DATA) is SendResult.DOWN
@@ -246,8 +252,7 @@ def test_error_frames_set_the_bus_state_and_data_ends_bus_off(kernel, bus):
 
 def test_who_is_off_too_often_stays_silent_until_it_is_past(kernel, bus):
     def off():
-        payload = struct.pack("=IBBBB", 0x2000_0040, 8, 0, 0, 0)
-        kernel.sockets[-1].to_read.append((payload + bytes(8), []))
+        error(kernel, OFF)
         bus.receive(0.0)
         kernel.pass_time(10 * SECOND)
         kernel.arrive()
@@ -439,16 +444,6 @@ def watched(kernel, asker):
     bus.open()
     kernel.pass_time(MS)
     return bus
-
-
-OFF = Frame(0, 0x040, bytes(8), ERROR)
-RESTARTED = Frame(0, 0x100, bytes(8), ERROR)
-
-
-def error(kernel, frame):
-    """`pack` does not make error frames: nobody sends them."""
-    word = struct.pack("=IB3x", frame.can_id | 0x2000_0000, 8) + frame.data
-    kernel.sockets[-1].to_read.append((word, []))
 
 
 def look(kernel, bus):

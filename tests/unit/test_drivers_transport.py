@@ -7,38 +7,11 @@ from can.cli import add_bus_arguments
 
 from dbc.codec import bind
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from dbc.frames import block_of
 from gateway.io.bus import bus_options, open_transport
 from gateway.io.pythoncan import PythonCan
-from gateway.io.transport import Allow, Guarded, LinkState, SendResult, Status, monotonic_stamp
+from gateway.io.transport import Allow, Guarded, LinkState, SendResult, monotonic_stamp
 from gateway.settings.config import ConfigError, shipped_dbc
-
-
-class Recorder:
-    """A transport that keeps what it is given."""
-
-    def __init__(self):
-        self.status = Status()
-        self.sent = []
-        self.calls = []
-
-    def open(self):
-        self.calls.append("open")
-
-    def receive(self, timeout_s):
-        self.calls.append(f"receive {timeout_s}")
-        return []
-
-    def receive_block(self, timeout_s):
-        return block_of(self.receive(timeout_s))
-
-    def send(self, frame):
-        self.sent.append(frame)
-        return self.status.count(SendResult.SENT)
-
-    def close(self):
-        self.calls.append("close")
-
+from tests.buses import Bus
 
 ALLOW = Allow({0x1A0: (8, False), 0x501: (64, True), 0x720: (1, False)}, started=(1, 2))
 
@@ -69,14 +42,14 @@ BAD = [
 
 @pytest.mark.parametrize("frame", GOOD)
 def test_allowed_frames_pass(frame):
-    inner = Recorder()
+    inner = Bus()
     assert Guarded(inner, ALLOW).send(frame) is SendResult.SENT
     assert inner.sent == [frame]
 
 
 @pytest.mark.parametrize("frame", BAD)
 def test_everything_else_is_refused_and_counted(frame):
-    inner = Recorder()
+    inner = Bus()
     guarded = Guarded(inner, ALLOW)
     assert guarded.send(frame) is SendResult.REFUSED
     assert inner.sent == []
@@ -85,7 +58,7 @@ def test_everything_else_is_refused_and_counted(frame):
 
 
 def test_spam_on_every_identifier_lets_nothing_else_out():
-    inner = Recorder()
+    inner = Bus()
     guarded = Guarded(inner, ALLOW)
     for flags in (0, EXTENDED, REMOTE, ERROR, FD, FD | BRS):
         for can_id in range(0x800):
@@ -120,7 +93,7 @@ def test_the_list_of_a_dbc_is_the_gateways_own_messages_for_its_drives(file):
 
 
 def test_the_guard_passes_everything_but_sending_through():
-    inner = Recorder()
+    inner = Bus()
     guarded = Guarded(inner, ALLOW)
     guarded.open()
     assert guarded.receive(0.5) == []

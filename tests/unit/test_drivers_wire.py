@@ -3,12 +3,11 @@
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, Frame
-from dbc.frames import block_of
 from gateway.hil import simbus
 from gateway.hil.simbus import NEWEST, NEWEST_FD, newest, run_on_bus
 from gateway.io.live import Stop
-from gateway.io.transport import SendResult, Status
 from gateway.io.wire import BusState, bus_state, pack
+from tests.buses import Bus
 from tests.reference.socketcan import unpack
 
 BYTES = [
@@ -97,32 +96,17 @@ def test_other_errors_leave_the_bus_state(error_class):
     assert bus_state(Frame(0, 0x004, b"", ERROR), BusState.PASSIVE) is BusState.PASSIVE
 
 
-class Bus:
-    """A transport that keeps what is sent and delivers one frame."""
+class One(Bus):
+    """Delivers one frame."""
 
     def __init__(self):
-        self.status = Status()
-        self.sent = []
+        super().__init__()
         self.waiting = [Frame(0, 0x1A0, b"\0")]
-        self.closed = False
-
-    def open(self):
-        pass
 
     def receive(self, timeout_s):
         assert timeout_s == 0.0
         frames, self.waiting = self.waiting, []
         return frames
-
-    def receive_block(self, timeout_s):
-        return block_of(self.receive(timeout_s))
-
-    def send(self, frame):
-        self.sent.append(frame)
-        return SendResult.SENT
-
-    def close(self):
-        self.closed = True
 
 
 class World:
@@ -151,18 +135,18 @@ def test_of_every_id_the_newest_are_held():
 
 
 def test_the_world_runs_to_its_end_in_real_time():
-    bus, world = Bus(), World()
+    bus, world = One(), World()
     lost = run_on_bus(world, bus, 0.02, lambda: None)
     assert world.times[0] == 0
     assert world.times[-1] == 20 * MS
     assert world.times == sorted(world.times)
     assert len(bus.sent) + lost == 21
     assert world.heard == [Frame(0, 0x1A0, b"\0")]
-    assert bus.closed
+    assert bus.calls[-1] == "close"
 
 
 def test_a_stall_is_caught_up_but_not_sent(monkeypatch):
-    bus, world = Bus(), World()
+    bus, world = One(), World()
     stamps = iter((0, 0, 100 * MS, 100 * MS))
 
     class Stalling(simbus.Ticker):
@@ -177,7 +161,7 @@ def test_a_stall_is_caught_up_but_not_sent(monkeypatch):
 
 
 def test_a_stop_ends_it_and_the_bus_is_given_back():
-    bus, world, stop = Bus(), World(), Stop()
+    bus, world, stop = One(), World(), Stop()
     run_on_bus(world, bus, 3600.0, stop, stop)
     assert len(world.times) == 1
-    assert bus.closed
+    assert bus.calls[-1] == "close"

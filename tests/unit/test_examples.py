@@ -5,7 +5,6 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import pytest
 import yaml
 
 from gateway import cli
+from tests.programs import ended
 
 ROOT = Path(__file__).parents[2]
 
@@ -26,21 +26,13 @@ def examples(tmp_path, monkeypatch, capsys):
     return tmp_path / "examples"
 
 
-def python(folder, *words, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", *words], cwd=folder, env=os.environ | environment,
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
-
-
-def test_what_is_written_is_what_ships_and_nothing_is_overwritten(examples, capsys):
+def test_what_is_written_is_what_ships_and_nothing_is_overwritten(examples, refused):
     for path in (ROOT / "examples").rglob("*.*"):
         if "__pycache__" not in path.parts:
             copied = examples / path.relative_to(ROOT / "examples")
             assert copied.read_bytes() == path.read_bytes()
     (examples / "train.toml").write_text("mine")
-    assert cli.main(["examples", "-o", "examples"]) == 2
-    assert "already exists" in capsys.readouterr().err
+    assert "already exists" in refused("examples", "-o", "examples")
     assert (examples / "train.toml").read_text() == "mine"
 
 
@@ -52,7 +44,9 @@ def test_the_steps_of_the_workflow_run_and_make_its_artefacts(examples):
     assert runs[1] == ["traction-gateway", "examples", "-o", "examples"]
     for words in runs[2:]:
         module = ["gateway"] if words[0] == "traction-gateway" else ["pytest", "-c", "/dev/null"]
-        done = python(examples.parent, *module, *words[1 if module == ["gateway"] else 3 :])
+        done = ended(
+            "-m", *module, *words[1 if module == ["gateway"] else 3 :], folder=examples.parent
+        )
         assert done.returncode == 0, done.stdout + done.stderr
     for name in steps[-1]["with"]["path"].split():
         assert (examples.parent / name).exists()
@@ -83,7 +77,7 @@ def test_the_commands_of_the_container_are_ours(tmp_path, monkeypatch):
 
 def test_the_robot_suite_passes_and_one_that_is_wrong_fails(examples):
     words = ("robot", "--outputdir", "out", "--xunit", "report.xml", "examples/robot")
-    done = python(examples.parent, *words)
+    done = ended("-m", *words, folder=examples.parent)
     assert done.returncode == 0, done.stdout
     assert "2 tests, 2 passed" in done.stdout
     suite = examples / "robot" / "traction.robot"
@@ -91,7 +85,7 @@ def test_the_robot_suite_passes_and_one_that_is_wrong_fails(examples):
     suite.write_text(
         text.replace("after_s=3.0", "after_s=4.0").replace("Known    90", "Known    101")
     )
-    done = python(examples.parent, *words)
+    done = ended("-m", *words, folder=examples.parent)
     assert "2 tests, 0 passed, 2 failed" in done.stdout
 
 

@@ -38,7 +38,7 @@ from tests.reference.flags import (
     summary,
     worst,
 )
-from tests.stations import Flags, debounce, flag, loss_evidence
+from tests.stations import Flags, debounce, flag
 
 N = 3
 MS = 1_000_000
@@ -135,24 +135,12 @@ def test_stamps_far_apart_do_not_overflow():
 # ---- evidence and reasons ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lost", [*NUMBERS.tolist(), -1e-9])
-def test_evidence_of_a_probability(lost):
-    wanted = from_probability(lost, True, RAISE, CLEAR)
-    assert loss_evidence(RULES, lost) == (UNCHANGED if wanted is None else wanted)
-
-
 def test_ranks_are_the_priorities_and_what_is_no_reason_ranks_as_none():
     ranks = [lib.reason_rank(reason) for reason in (*PRIORITY, Reason.NONE)]
     assert ranks == list(range(len(Reason)))
     assert ranks == [RANKS[reason] for reason in (*PRIORITY, Reason.NONE)]
     for number in (-1, len(Reason), 255, -(1 << 31), (1 << 31) - 1):
         assert lib.reason_rank(number) == lib.reason_rank(Reason.NONE)
-
-
-def test_a_reason_that_is_none_is_the_other_one():
-    for reason in Reason:
-        assert lib.worse_reason(reason, Reason.NONE) == reason
-        assert lib.worse_reason(Reason.NONE, reason) == reason
 
 
 def test_nothing_is_written_behind_the_drives_nor_beside_their_flags():

@@ -1,7 +1,6 @@
 """A fleet from object storage and into it: as on local paths, each log once; by day and train."""
 
 import shutil
-import subprocess
 import sys
 import threading
 
@@ -17,6 +16,7 @@ from gateway.fleet.storage import fresh, place
 from gateway.fleet.table import DONE
 from gateway.settings.config import ConfigError, load
 from tests import s3
+from tests.programs import loaded
 from tests.unit.test_cli import SCENARIO
 from tests.unit.test_fleet import is_worker
 
@@ -183,14 +183,14 @@ def test_without_the_libraries_it_says_what_to_install(monkeypatch, capsys, tmp_
 
 
 def test_a_local_fleet_imports_none_of_them(logs, tmp_path):
-    code = (
-        "import sys; from pathlib import Path;"
-        "from gateway.fleet.logs import find, settings_for; from gateway.fleet import run, work;"
-        "from gateway.settings.config import load; here = Path(sys.argv[2]);"
-        "asked = settings_for(load(None), None, here);"
-        "planned = run.plan(find([sys.argv[1]], here), asked, force=False);"
-        "row = work.replayed(planned.todo[0], asked, 0.0);"
-        "sys.exit(any(m in sys.modules for m in ('fsspec', 's3fs', 'upath')))"
-    )
-    words = [sys.executable, "-c", code, str(logs / "logs"), str(tmp_path / "out")]
-    assert subprocess.run(words, check=False).returncode == 0
+    text = """
+from pathlib import Path
+from gateway.fleet import run, work
+from gateway.fleet.logs import find, settings_for
+from gateway.settings.config import load
+here = Path(sys.argv[2])
+asked = settings_for(load(None), None, here)
+planned = run.plan(find([sys.argv[1]], here), asked, force=False)
+work.replayed(planned.todo[0], asked, 0.0)
+"""
+    assert not loaded(("fsspec", "s3fs", "upath"), text, logs / "logs", tmp_path / "out")

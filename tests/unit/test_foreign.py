@@ -17,7 +17,7 @@ from gateway.settings import calibration
 from gateway.settings.config import ConfigError, load, parse
 from sim.simulation import Simulation
 from tests.inverters import spoken, write_dbc
-from tests.simrun import TICK, codec, run, scenario
+from tests.simrun import TICK, by_tick, codec, run, scenario
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples" / "inverters").glob("*.toml"))
@@ -69,13 +69,9 @@ def train():
 
 def played(gateway, frames):
     """Adhesion flags tick by tick."""
-    frames, k, out = sorted(frames, key=lambda f: f.t_ns), 0, []
-    for tick in range(1, frames[-1].t_ns // TICK + 1):
-        batch = []
-        while k < len(frames) and frames[k].t_ns <= tick * TICK:
-            batch.append(frames[k])
-            k += 1
-        gateway.step(batch, tick * TICK)
+    out, last = [], max(f.t_ns for f in frames)
+    for now, batch in by_tick(frames, range(TICK, last + 1, TICK)):
+        gateway.step(batch, now)
         out.append(tuple(drive.adhesion for drive in gateway.view.drives))
     return out
 
@@ -220,11 +216,15 @@ def test_nobody_passes_for_the_translator(tmp_path, train):
     assert gateway.inbox.counts["unknown_id"] > 1000
 
 
+def among_ours(config, train):
+    """Flags where its first drive is one of three, the others being ours."""
+    tables = [config.drive[0].model_dump(), {"node": 2}, {"node": 3}]
+    both = parse({"drive": tables}, base=config.base)
+    return played(Gateway(both, codec(), 0), spoken(both, train))
+
+
 def test_others_go_on_as_they_are(tmp_path, train):
-    """One mapped drive among two of ours."""
-    config = mapped(tmp_path, drives=1)
-    both = parse({"drive": [config.drive[0].model_dump(), {"node": 2}, {"node": 3}]}, base=tmp_path)
-    said = played(Gateway(both, codec(), 0), spoken(both, train))
+    said = among_ours(mapped(tmp_path, drives=1), train)
     assert all(flag is Flag.GOOD for flag in said[150])
     assert said[250][0] is Flag.BAD
 
@@ -234,8 +234,7 @@ def test_drives_whose_speed_comes_at_another_pace(tmp_path, train, cycle, motion
     config = mapped(tmp_path, "rotor", cycle, drives=1)
     path = tmp_path / "1.dbc"
     path.write_text(path.read_text().replace("BO_ 1554 10;", f"BO_ 1554 {motion_ms};"))
-    both = parse({"drive": [config.drive[0].model_dump(), {"node": 2}, {"node": 3}]}, base=tmp_path)
-    said = played(Gateway(both, codec(), 0), spoken(both, train))
+    said = among_ours(config, train)
     assert all(flag is Flag.GOOD for flag in said[150])
     assert {flags[0] for flags in said[206:299]} == {Flag.BAD}
 
@@ -303,9 +302,10 @@ def test_the_mapped_file_is_part_of_the_hash_and_needs_a_signature_of_its_own(tm
     assert "not covered by the signature" in problems(sealed)
 
 
-def test_scenarios_are_refused_for_a_mapped_drive(capsys):
-    assert main(["hil", "release", "--config", str(EXAMPLES[0])]) == 2
-    assert "simulated drives send only this project's message set" in capsys.readouterr().err
+def test_scenarios_are_refused_for_a_mapped_drive(refused):
+    assert "simulated drives send only this project's message set" in refused(
+        "hil", "release", "--config", EXAMPLES[0]
+    )
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
@@ -326,13 +326,9 @@ def test_there_is_an_example_for_every_layout():
 def test_silence_of_a_drive_without_currents_is_told_and_ends(train):
     config = load(ROOT / "examples" / "inverters" / "sevcon_gen4.toml")
     theirs = [f for f in spoken(config, train) if not 1_000_000_000 < f.t_ns < 2_000_000_000]
-    gateway, comm, k = Gateway(config, codec(), 0), [], 0
-    theirs.sort(key=lambda f: f.t_ns)
-    for now in range(TICK, 3_500_000_000, TICK):
-        first = k
-        while k < len(theirs) and theirs[k].t_ns <= now:
-            k += 1
-        gateway.step(theirs[first:k], now)
+    gateway, comm = Gateway(config, codec(), 0), []
+    for now, batch in by_tick(theirs, range(TICK, 3_500_000_000, TICK)):
+        gateway.step(batch, now)
         comm.append(gateway.view.drives[0].comm)
     assert comm[0] is Flag.UNKNOWN
     assert [comm[t] for t in (90, 150, 340)] == [Flag.GOOD, Flag.BAD, Flag.GOOD]

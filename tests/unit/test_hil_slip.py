@@ -48,14 +48,12 @@ def test_a_score_that_is_expected_and_a_function_of_ones_own(tmp_path, capsys):
         (["dry", "--controller", "creep", "-i", "virtual", "-c", "x"], "flags control the torque"),
     ],
 )
-def test_what_is_not_understood_is_refused_with_a_cure(words, cure, capsys):
-    assert cli.main(["hil", "--slip-bench", *words]) == 2
-    assert cure in capsys.readouterr().err
+def test_what_is_not_understood_is_refused_with_a_cure(words, cure, refused):
+    assert cure in refused("hil", "--slip-bench", *words)
 
 
-def test_hil_without_a_scenario_is_refused(capsys):
-    assert cli.main(["hil"]) == 2
-    assert "no scenario" in capsys.readouterr().err
+def test_hil_without_a_scenario_is_refused(refused):
+    assert "no scenario" in refused("hil")
 
 
 def test_the_flags_of_a_device_on_the_bus_act_on_the_torque(monkeypatch):

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from dbc.candump.writer import Writer
 from gateway.cli import main
 from gateway.settings.config import ConfigError, load, parse
 from sim.simulation import Simulation
 from tests.inverters import spoken, write_dbc
-from tests.simrun import codec, run, scenario
+from tests.simrun import codec, log_of, run, scenario
 
 ROOT = Path(__file__).parents[2]
 LAYOUTS = sorted((ROOT / "examples" / "inverters").glob("*.toml"))
@@ -173,9 +172,7 @@ def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):
     ]
     config = parse({"drive": tables}, base=tmp_path)
     frames = run(Simulation(scenario(seed=3, duration_s=2.0, drives=2), codec()), 2.0)
-    with Writer(tmp_path / "d.log") as writer:
-        for frame in sorted(spoken(config, frames), key=lambda f: f.t_ns):
-            writer.write(frame, "can0")
+    log_of(tmp_path / "d.log", spoken(config, frames))
     write_dbc(tmp_path / "m.dbc", {n: (i, 0, s) for n, (i, _, s) in messages.items()})
     code = main(["init", "--drives", "2", "--dbc", str(tmp_path / "m.dbc"), "--id-offset", "16",
                  "--log", str(tmp_path / "d.log"), "-o", str(tmp_path / "t.toml")])  # fmt: skip

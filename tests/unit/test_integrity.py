@@ -64,15 +64,6 @@ def test_how_long_lost_frames_count_depends_on_no_clock(begin):
     assert said == [Reason.SEQUENCE] * 5 + [Reason.NONE] * 3
 
 
-def test_lost_frames_are_held_against_every_flag_for_five_ticks():
-    doubt = told(lambda doubt: doubt.note_lost(1))
-    for k in range(1, 5):
-        doubt.tick(k * TICK, 0)
-        assert doubt.reason is Reason.SEQUENCE
-    doubt.tick(5 * TICK, 0)
-    assert doubt.reason is Reason.NONE
-
-
 def test_an_intruder_is_known_only_to_who_watches_and_is_never_forgotten():
     doubt = IntegrityMonitor(TICK)
     doubt.tick(0, 3)

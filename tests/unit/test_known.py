@@ -137,11 +137,10 @@ def test_a_time_that_goes_beyond_the_end():
     parse({"title": "a run", "duration_s": 2.0, "expect": [{**GOOD, "within_ms": 1500}]})
 
 
-def test_a_scenario_without_expectations_is_no_test(tmp_path, capsys):
+def test_a_scenario_without_expectations_is_no_test(tmp_path, refused):
     path = tmp_path / "none.toml"
     path.write_text('title = "nothing"\nduration_s = 1.0\n')
-    assert main(["hil", str(path)]) == 2
-    assert "no [[expect]]: nothing would be judged" in capsys.readouterr().err
+    assert "no [[expect]]: nothing would be judged" in refused("hil", path)
     assert main(["sim", str(path), "-o", str(tmp_path / "a.log")]) == 0
 
 

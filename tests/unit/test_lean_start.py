@@ -5,8 +5,6 @@ asammdf, pandas, pyarrow and the others are installed where these tests run.
 
 import gc
 import importlib
-import os
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,33 +15,45 @@ from gateway.cli import main
 from gateway.io import quick_start as leanstart
 from gateway.io.console import console, note
 from gateway.settings.config import ConfigError
+from tests.programs import COMMAND, ended, gateway, loaded, printed
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "train.toml"
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "train.toml"
+GOLDEN = ROOT / "tests" / "golden" / "loss.log.gz"
+REPORTS = ("matplotlib", "markdown_it", "gateway.reports.reporting", "gateway.reports.trace",
+           "gateway.reports.intervals", "gateway.reports.run_report",
+           "gateway.reports.figures")  # fmt: skip
+FLEET = ("dask", "distributed", "pyarrow")
 
-RUN = """
-import sys
-from gateway.cli import main
-code = main(["run", "-i", "virtual", "-c", "lean", "--quiet", "--duration", "0.1", *sys.argv[1:]])
-print("cryptography" in sys.modules, code)
-"""
+RUN = ("run", "-i", "virtual", "-c", "lean", "--quiet", "--duration", "0.1")
+WITHOUT_ASAMMDF = "sys.modules['asammdf'] = None; "
+"""As `run` does it: python-can loads asammdf, and that pyarrow."""
+IMPORTS = {
+    "import gateway": ("numpy", "pydantic", "can"),
+    "import estimators.detect as d; d.DETECTORS['vb']()": (
+        "scipy.special", "scipy.cluster", "scipy.stats",
+    ),
+    WITHOUT_ASAMMDF + "import gateway.commands.fleet, gateway.commands.run": FLEET,
+    WITHOUT_ASAMMDF + "import gateway.commands.replay, gateway.io.live, gateway.io.replay": FLEET,
+}  # fmt: skip
 
 
-def loaded(folder, *words):
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, *words], capture_output=True, text=True, check=True, cwd=folder
-    )
-    return done.stdout.splitlines()[-1]
+@pytest.mark.parametrize("text", IMPORTS)
+def test_who_only_imports_a_package_does_not_load(text):
+    assert not loaded(IMPORTS[text], text)
 
 
 def test_run_loads_no_cryptography_unless_something_is_authenticated(tmp_path):
-    assert loaded(tmp_path) == "False 0"
+    secret = ["cryptography"]
+    assert not loaded(secret, COMMAND, *RUN, folder=tmp_path)
     config = tmp_path / "train.toml"
     config.write_text("[authentication]\n")
-    assert loaded(tmp_path, "--config", str(config), "--listen-only") == "False 0"
+    words = *RUN, "--config", config
+    assert not loaded(secret, COMMAND, *words, "--listen-only", folder=tmp_path)
     key = tmp_path / "auth.key"
     key.write_text("00112233445566778899aabbccddeeff")
     key.chmod(0o600)
-    assert loaded(tmp_path, "--config", str(config)) == "True 0"
+    assert loaded(secret, COMMAND, *words, folder=tmp_path)
     assert (tmp_path / "trip").read_text() == "00000001\n"
 
 
@@ -51,24 +61,14 @@ HEAVY = ("asammdf", "pandas", "pyarrow", "matplotlib", "starlette", "textual", "
          "sklearn", "cantools", "cffi", "rich", "mcap")  # fmt: skip
 
 
-def program(folder, text):
-    """What a program in a process of its own says last."""
-    done = subprocess.run(
-        [sys.executable, "-c", text], capture_output=True, text=True, check=False, cwd=folder
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()[-1]
-
-
 def test_run_loads_nothing_for_logs_plots_pages_and_tables(tmp_path):
     assert all(map(find_spec, ("asammdf", "pandas", "pyarrow")))
-    text = f"[m for m in {HEAVY} if m in sys.modules], 'can' in sys.modules"
-    said = program(tmp_path, RUN.replace('"cryptography" in sys.modules', text))
-    assert said == "[] True 0"
+    assert loaded((*HEAVY, *REPORTS, "can"), COMMAND, *RUN, folder=tmp_path) == ["can"]
 
 
 def test_mf4_is_read_and_written_in_a_program_that_started_on_a_bus(tmp_path):
     text = """
+import sys
 from pathlib import Path
 from dbc.frames import block_of
 from dbc.frame import Frame
@@ -84,7 +84,8 @@ frames = [Frame(10**18 + k * 10**6, 0x100 + k, bytes([k] * 8)) for k in range(5)
         "print([(f.can_id, f.data) for f in read] == [f[1:3] for f in frames])"
     )
     for order in (write + read, read):  # the file is there for the second
-        assert program(tmp_path, RUN + text.format(order=order)) == "True"
+        program = COMMAND + text.format(order=order)
+        assert printed(f"import sys\n{program}", *RUN, folder=tmp_path)[-1] == "True"
 
 
 def test_what_is_absent_for_a_while_is_there_again():
@@ -118,10 +119,7 @@ def test_what_a_start_has_made_is_not_searched_at_once():
 def test_a_missing_key_is_one_clear_line(tmp_path):
     config = tmp_path / "train.toml"
     config.write_text("[authentication]\n")
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", "run", "-i", "virtual", "-c", "x", "--quiet",
-         "--config", str(config)], capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = gateway("run", "-i", "virtual", "-c", "x", "--quiet", "--config", config)
     assert done.returncode == 2
     assert done.stderr.startswith("traction-gateway: ")
     assert "auth.key" in done.stderr
@@ -131,50 +129,34 @@ def test_a_missing_key_is_one_clear_line(tmp_path):
 
 def test_a_candump_log_is_replayed_without_mf4_and_threads_of_numpy(tmp_path):
     (tmp_path / "x.log").write_text("(1.000000) can0 123#00\n")
-    text = """
-import os, sys
-from gateway.cli import main
-code = main(["replay", "x.log", "-o", "y.log"])
-loaded = [m for m in ("asammdf", "pandas", "pyarrow") if m in sys.modules]
-print(loaded, code, len(os.listdir("/proc/self/task")))
-"""
-    assert program(tmp_path, text) == "[] 0 1"
+    text = f"{COMMAND}\nimport os; assert len(os.listdir('/proc/self/task')) == 1"
+    words = "replay", "x.log", "-o", "y.log"
+    assert not loaded(("asammdf", "pandas", "pyarrow"), text, *words, folder=tmp_path)
 
 
 RICH = ("FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS")
 """Variables by which rich decides, terminal or not."""
-BRIEF = """
-import sys
-from gateway.cli import main
-code = main(sys.argv[1:])
-print([m for m in {names} if m in sys.modules], code)
-"""
 UNUSED = ("scipy", "matplotlib", "cantools", "canopen", "rich", "asyncio", "sklearn", "pywt",
           "cryptography", "asammdf", "pandas", "pyarrow", "mcap", "starlette",
           "textual")  # fmt: skip
 
 
 def brief(folder, names, *words):
-    """What of these a command has loaded, and its exit code."""
-    done = subprocess.run(
-        [sys.executable, "-c", BRIEF.format(names=names), *words],
-        capture_output=True, text=True, check=True, cwd=folder,
-        env={k: v for k, v in os.environ.items() if k not in RICH},
-    )  # fmt: skip
-    return done.stdout.splitlines()[-1]
+    """What of these a command has loaded."""
+    return loaded(names, COMMAND, *words, folder=folder, **dict.fromkeys(RICH))
 
 
 def test_check_loads_what_it_needs(tmp_path):
     """The simulator, NumPy and pydantic; python-can for who names a bus."""
-    assert brief(tmp_path, (*UNUSED, "can"), "check", str(EXAMPLE)) == "[] 0"
-    said = brief(tmp_path, ("scipy", "can"), "check", str(EXAMPLE), "-i", "virtual", "-c", "x")
-    assert said == "['can'] 0"
+    assert not brief(tmp_path, (*UNUSED, "can"), "check", EXAMPLE)
+    assert brief(tmp_path, ("scipy", "can"), "check", EXAMPLE, "-i", "virtual", "-c", "x") == [
+        "can"
+    ]
 
 
 def test_replay_loads_what_it_needs(tmp_path):
-    (tmp_path / "x.log").write_text("(1.000000) can0 123#00\n")
-    words = ("replay", "x.log", "--config", str(EXAMPLE), "-o", "y.log")
-    assert brief(tmp_path, (*UNUSED, "can", "sim"), *words) == "[] 0"
+    words = ("replay", GOLDEN, "--config", EXAMPLE, "-o", "y.log")
+    assert not brief(tmp_path, (*UNUSED, *REPORTS, "can", "sim"), *words)
 
 
 def test_help_loads_no_numpy(tmp_path):
@@ -191,7 +173,7 @@ for verb in VERBS:
         loaded[verb] = ended.code or heavy
 print({verb: found for verb, found in loaded.items() if found}, len(loaded) == len(VERBS))
 """
-    assert program(tmp_path, text) == "{} True"
+    assert printed(text, folder=tmp_path)[-1] == "{} True"
 
 
 def test_options_of_a_bus_are_part_of_the_help_and_of_what_is_refused(capsys):
@@ -225,18 +207,11 @@ atexit.register(print, "the end")
 program()
 """
     file = str(EXAMPLE) if verb == "check" else "x.log"
-    done = subprocess.run(
-        [sys.executable, "-c", text, verb, file], capture_output=True, text=True, check=False,
-        cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0
-    assert done.stdout.endswith("the end\n")
-    assert len(done.stdout.splitlines()) > 3
+    lines = printed(text, verb, file, folder=tmp_path)
+    assert lines[-1] == "the end"
+    assert len(lines) > 3
     assert (tmp_path / "ended").read_text() == "yes"
-    done = subprocess.run(
-        [sys.executable, "-c", text, verb, "missing"], capture_output=True, text=True, check=False,
-        cwd=tmp_path,
-    )  # fmt: skip
+    done = ended("-c", text, verb, "missing", folder=tmp_path)
     assert done.returncode == 2
     assert "missing: no such file" in done.stderr
 
@@ -250,9 +225,7 @@ extras.find_spec = lambda name: None if name in ("autograd", "pywt", "sklearn") 
 from gateway.cli import main
 print(main(["reproduce", "thermal", "-o", "out"]))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", text], capture_output=True, text=True, check=True, cwd=tmp_path
-    )
+    done = ended("-c", text, folder=tmp_path)
     assert done.stdout == "2\n"
     assert (
         "needs autograd, pywt, sklearn: pip install 'autograd>=1.8' 'PyWavelets>=1.7' "

@@ -12,7 +12,7 @@ from gateway.core.supervision import Supervision
 from gateway.settings.config import parse
 from sim.simulation import Simulation
 from tests.sender import CLASSIC, FD_FILE, MS, Sender, SteadyDrive, codec_for
-from tests.simrun import TICK, codec, scenario
+from tests.simrun import TICK, codec, flags_and_speeds, scenario
 from tests.stations import Inbox
 
 NODES = (1, 2, 3)
@@ -101,22 +101,22 @@ def test_what_is_only_delayed_is_not_left_out(delays_ns):
 @pytest.mark.parametrize("path", [CLASSIC, FD_FILE], ids=["classic", "fd"])
 def test_a_drive_that_speaks_in_bursts_has_plausible_currents(path):
     """As a machine sends that does other things for up to 8 ms."""
-    used, rng = codec(NODES, path), np.random.default_rng(5)
-    run = scenario(seed=3, duration_s=SECONDS, motion={"profile": [[0.0, 200.0]]})
-    simulation = Simulation(run, used, nodes=NODES)
-    core = Gateway(parse({"drive": [{"node": node} for node in NODES]}), used, 0)
-    wakes_ns, waiting, sent, flags = 0, [], [], []
-    for now in range(TICK, round(SECONDS * 1e9) + 1, TICK):
-        waiting += simulation.step((), now)
+    rng, wakes_ns, waiting, sent = np.random.default_rng(5), 0, [], []
+
+    def in_bursts(frames, now):
+        nonlocal wakes_ns, waiting, sent
+        waiting += frames
         while wakes_ns <= now:
             due = sum(frame.t_ns <= wakes_ns for frame in waiting)
             sent += [f._replace(t_ns=wakes_ns + k * 20_000) for k, f in enumerate(waiting[:due])]
             waiting = waiting[due:]
             wakes_ns += int(rng.integers(2 * MS, 8 * MS))
-        core.step([frame for frame in sent if frame.t_ns <= now], now)
-        sent = [frame for frame in sent if frame.t_ns > now]
-        flags.append([drive.adhesion for drive in core.view.drives])
-    assert (np.array(flags[FROM:]) == Flag.GOOD).all()
+        come, sent = [f for f in sent if f.t_ns <= now], [f for f in sent if f.t_ns > now]
+        return come
+
+    run = scenario(seed=3, duration_s=SECONDS, motion={"profile": [[0.0, 200.0]]})
+    flags, _ = flags_and_speeds(run, codec(NODES, path), in_bursts)
+    assert (flags[FROM:] == Flag.GOOD).all()
 
 
 CODEC = codec_for()

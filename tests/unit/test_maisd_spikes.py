@@ -17,7 +17,8 @@ from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
 from gateway.io.prepare import prepare
 from gateway.io.replay import Briefly, replay
-from gateway.settings.calibration import Calibration, MotorCalibration, to_toml
+from gateway.settings.calibration import to_toml
+from tests.fleet_limits import calibration, motor
 
 AMPLITUDES_K = (-100.0, -60.0, -25.0, 25.0, 60.0, 100.0)
 DRIVES = (3, 4, 5, 8)
@@ -31,15 +32,9 @@ OFFSETS_K = (-0.2, 0.5, -0.6, 0.1, 0.3, -0.4, 0.2, 0.0)
 def setup(folder, drives):
     """Configuration and codec of a calibrated train."""
     nodes = range(1, drives + 1)
-    motors = tuple(
-        MotorCalibration(node=node, gain=(gain,) * 3, offset_k=(offset,) * 3,
-                         longest_hold_s=(0.5,) * 3, largest_step_k=(0.8,) * 3)
-        for node, gain, offset in zip(nodes, GAINS, OFFSETS_K, strict=False)
-    )  # fmt: skip
-    learnt = Calibration(
-        window_s=5.0, maisd_limit_k=(0.5,) * 3, deviation_limit_k=(1.0,) * 3, motor=motors
-    )
-    (folder / "learnt.toml").write_text(to_toml(learnt))
+    each = zip(nodes, GAINS, OFFSETS_K, strict=False)
+    motors = (motor(*own, step_k=0.8) for own in each)
+    (folder / "learnt.toml").write_text(to_toml(calibration(motors, window_s=5.0)))
     path = folder / "train.toml"
     each = "".join(f"[[drive]]\nnode = {node}\n" for node in nodes)
     path.write_text(f'[thermal]\nmethod = "maisd"\ncalibration = "learnt.toml"\n{each}')

@@ -136,8 +136,9 @@ def test_the_layout_names_what_is_there(replayed):
     assert {p.get("topicPath", p.get("topicToRender")) for p in panels} - {None} < set(properties)
 
 
-def test_mcap_without_results_is_refused(tmp_path, capsys):
+def test_mcap_without_results_is_refused(tmp_path, refused):
     with Writer(tmp_path / "x.log") as writer:
         writer.write(Frame(10**9, 0x181, b"", 0, "can0"))
-    assert main(["replay", str(tmp_path / "x.log"), "--mcap"]) == 2
-    assert "--mcap: is for the report; add --results DIR" in capsys.readouterr().err
+    assert "--mcap: is for the report; add --results DIR" in refused(
+        "replay", tmp_path / "x.log", "--mcap"
+    )

@@ -16,11 +16,16 @@ from gateway.monitor.model.observer import Observer
 from gateway.monitor.model.schedule import Schedule
 from gateway.monitor.model.snapshot import as_json
 from tests.monitored import TICK, config_of, play, recorded, shadow_views
-from tests.simrun import codec
+from tests.simrun import by_tick, codec
 
 ADHESION, FAULTS = 0x1A0, 0x2A0
 MS = 1_000_000
 END = 3_000 * MS
+
+
+@pytest.fixture
+def run():
+    return recorded()
 
 
 def texts(shown):
@@ -31,15 +36,11 @@ def without(frames, *ids):
     return [f for f in frames if f.can_id not in ids]
 
 
-def test_flags_and_estimates_are_those_that_the_gateway_sent():
-    run = recorded()
-    observer, frames, k = run.observer(), run.frames, 0
-    seen = Counter()
-    for view in run.views:
-        first = k
-        while k < len(frames) and frames[k].t_ns <= view.t_ns:
-            k += 1
-        observer.add_frames(frames[first:k], view.t_ns)
+def test_flags_and_estimates_are_those_that_the_gateway_sent(run):
+    observer, seen = run.observer(), Counter()
+    ticks = by_tick(run.frames, [view.t_ns for view in run.views])
+    for view, (_, frames) in zip(run.views, ticks, strict=True):
+        observer.add_frames(frames, view.t_ns)
         shown = observer.snapshot(view.t_ns)
         if view.t_ns < 50 * MS:
             continue
@@ -65,15 +66,13 @@ def test_flags_and_estimates_are_those_that_the_gateway_sent():
     assert losses[-2].level == "error"
 
 
-def test_the_cut_into_calls_changes_nothing():
-    run = recorded()
+def test_the_cut_into_calls_changes_nothing(run):
     shown = [play(run.observer(), run.frames, END, step) for step in (3 * MS, 10 * MS, 317 * MS)]
     assert shown[0].history[0].t_s
     assert shown[0] == shown[1] == shown[2]
 
 
-def test_drives_in_another_order_are_the_same_rows_in_that_order():
-    run = recorded()
+def test_drives_in_another_order_are_the_same_rows_in_that_order(run):
     # The hash names the configuration, in which the order differs.
     frames = without(run.frames, codec().by_name["Gateway_Info"].can_id)
     plain = play(run.observer(), frames, END)
@@ -88,8 +87,7 @@ def test_drives_in_another_order_are_the_same_rows_in_that_order():
     assert other.link == plain.link
 
 
-def test_the_uncertainty_is_the_shadows_where_it_agrees_and_nothing_where_not():
-    run = recorded()
+def test_the_uncertainty_is_the_shadows_where_it_agrees_and_nothing_where_not(run):
     observer = run.observer()
     shown = play(observer, run.frames, END)
     for row, drive in zip(shown.drives, run.views[-1].drives, strict=True):
@@ -103,8 +101,7 @@ def test_the_uncertainty_is_the_shadows_where_it_agrees_and_nothing_where_not():
     assert any("no sigma is shown" in text for text in texts(shown))
 
 
-def test_what_is_too_old_is_unknown():
-    run = recorded()
+def test_what_is_too_old_is_unknown(run):
     observer = run.observer()
     shown = play(observer, run.frames, END)
     assert shown.gateway.alive
@@ -129,8 +126,7 @@ def test_what_is_too_old_is_unknown():
     assert texts(shown).count("heartbeat lost") == 3
 
 
-def test_without_a_gateway_nothing_is_known_and_nothing_is_made_up():
-    run = recorded()
+def test_without_a_gateway_nothing_is_known_and_nothing_is_made_up(run):
     shown = play(run.observer(), run.drives, END)
     assert not shown.gateway.present
     assert shown.gateway.source == "none"
@@ -142,8 +138,7 @@ def test_without_a_gateway_nothing_is_known_and_nothing_is_made_up():
     assert not [e for e in shown.events if "adhesion" in e.text]
 
 
-def test_a_shadow_is_what_replay_says_and_is_marked():
-    run = recorded()
+def test_a_shadow_is_what_replay_says_and_is_marked(run):
     shown = play(run.observer(show_shadow=True), run.drives, END)
     views = shadow_views(run)
     at = views[int((END - run.drives[0].t_ns) // TICK)]
@@ -164,9 +159,8 @@ def corrupted(frame, byte):
 
 
 @pytest.mark.parametrize("byte", range(8))
-def test_corrupted_flag_frames_are_not_believed(byte):
+def test_corrupted_flag_frames_are_not_believed(run, byte):
     """From 1 s on every flag frame is spoilt, and the loss that follows stays unheard."""
-    run = recorded()
     frames = [
         corrupted(f, byte) if f.can_id == ADHESION and f.t_ns > 1_000 * MS else f
         for f in run.frames
@@ -182,8 +176,7 @@ def test_corrupted_flag_frames_are_not_believed(byte):
     assert {row.adhesion for row in shown.drives} == {Flag.UNKNOWN}
 
 
-def test_a_played_back_flag_frame_is_not_believed():
-    run = recorded()
+def test_a_played_back_flag_frame_is_not_believed(run):
     good = next(f for f in run.gateway if f.can_id == ADHESION and f.t_ns >= 1_000 * MS)
     old = [good._replace(t_ns=t) for t in range(2_000 * MS, 3_000 * MS, TICK)]
     early = [f for f in run.frames if f.t_ns <= 1_100 * MS or f.can_id != ADHESION]
@@ -192,8 +185,7 @@ def test_a_played_back_flag_frame_is_not_believed():
     assert shown.link.rejected["repeated"] > 90
 
 
-def test_two_senders_of_the_flags_are_told_and_neither_is_believed():
-    run = recorded()
+def test_two_senders_of_the_flags_are_told_and_neither_is_believed(run):
     spec = codec().by_name["Gateway_Adhesion"]
     forged = []
     for k, t_ns in enumerate(range(2_003 * MS, 3_000 * MS, TICK)):
@@ -205,8 +197,7 @@ def test_two_senders_of_the_flags_are_told_and_neither_is_believed():
     assert "two nodes send Gateway_Adhesion: both are rejected" in texts(shown)
 
 
-def test_wrong_lengths_and_formats_are_counted_against_their_drive():
-    run = recorded()
+def test_wrong_lengths_and_formats_are_counted_against_their_drive(run):
     short = [Frame(t, 0x182, b"\0" * 3) for t in range(1_000 * MS, 1_100 * MS, TICK)]
     shown = play(run.observer(), run.frames + short, END)
     assert shown.drives[1].rejected == 10
@@ -214,8 +205,7 @@ def test_wrong_lengths_and_formats_are_counted_against_their_drive():
     assert shown.link.rejected == {"wrong_length": 10}
 
 
-def test_frames_from_the_future_and_before_time_are_counted_and_not_believed():
-    run = recorded()
+def test_frames_from_the_future_and_before_time_are_counted_and_not_believed(run):
     observer = run.observer()
     play(observer, run.frames, END)
     late = run.gateway[-1]
@@ -223,9 +213,8 @@ def test_frames_from_the_future_and_before_time_are_counted_and_not_believed():
     assert observer.snapshot(END).link.rejected == {"time_back": 2}
 
 
-def test_a_flood_with_one_stamp_is_bounded_and_counted(monkeypatch):
+def test_a_flood_with_one_stamp_is_bounded_and_counted(run, monkeypatch):
     monkeypatch.setattr("gateway.monitor.model.observer.MOST_HELD", 50)
-    run = recorded()
     observer = run.observer()
     play(observer, run.frames, END)
     before = observer.counts["unknown_id"]
@@ -235,16 +224,14 @@ def test_a_flood_with_one_stamp_is_bounded_and_counted(monkeypatch):
     assert observer.counts["unknown_id"] == before + 50
 
 
-def test_error_frames_move_the_bus_state():
-    run = recorded()
+def test_error_frames_move_the_bus_state(run):
     off = Frame(END, 0x40, bytes(8), ERROR)
     shown = play(run.observer(), [*run.frames, off], END)
     assert (shown.link.state, shown.link.error_frames) == (BusState.BUS_OFF, 1)
     assert "bus bus-off" in texts(shown)
 
 
-def test_emergencies_and_lost_heartbeats_are_told():
-    run = recorded()
+def test_emergencies_and_lost_heartbeats_are_told(run):
     emergency = Frame(1_000 * MS, 0x082, bytes.fromhex("1023010000000000"))
     ours = Frame(1_500 * MS, 0x0A0, bytes.fromhex("5081010000000000"))
     silent = without(run.frames, 0x703)
@@ -282,10 +269,9 @@ def hostile(start_ns, seconds):
         yield Frame(t_ns, k * 37 % 0x800, bytes([k & 0xFF] * (k % 9)), ERROR if k % 11 == 0 else 0)
 
 
-def test_memory_is_bounded_whatever_comes(monkeypatch):
+def test_memory_is_bounded_whatever_comes(run, monkeypatch):
     monkeypatch.setattr(traces, "POINTS", 50)
     monkeypatch.setattr(happenings, "KEPT", 30)
-    run = recorded()
     observer = run.observer()
     constant = {id(codec()), id(run.config)}
     sizes = []
@@ -300,8 +286,7 @@ def test_memory_is_bounded_whatever_comes(monkeypatch):
     assert sizes[2] <= sizes[1] * 1.02
 
 
-def test_a_long_silence_is_skipped_and_gives_what_waiting_gives():
-    run = recorded()
+def test_a_long_silence_is_skipped_and_gives_what_waiting_gives(run):
     later = [f._replace(t_ns=f.t_ns + 3_600_000 * MS) for f in run.frames]
     patient, hasty = run.observer(), run.observer()
     a = play(hasty, run.frames + later, later[-1].t_ns, step_ns=3_600_000 * MS)
@@ -313,8 +298,7 @@ def test_a_long_silence_is_skipped_and_gives_what_waiting_gives():
     assert a.t_s == pytest.approx(3603.0, abs=0.02)
 
 
-def test_a_copy_goes_its_own_way():
-    run = recorded()
+def test_a_copy_goes_its_own_way(run):
     observer = run.observer()
     half = play(observer, [f for f in run.frames if f.t_ns <= 1_500 * MS], 1_500 * MS)
     copy = observer.copy()
@@ -323,8 +307,7 @@ def test_a_copy_goes_its_own_way():
     assert play(copy, [f for f in run.frames if f.t_ns > 1_500 * MS], END) == whole
 
 
-def test_what_flutters_does_not_push_everything_else_out():
-    run = recorded()
+def test_what_flutters_does_not_push_everything_else_out(run):
     spec = codec().by_name["Drive1_Estimate"]
     own = without(run.frames, spec.can_id)
     flutter = []
@@ -339,8 +322,7 @@ def test_what_flutters_does_not_push_everything_else_out():
     assert "adhesion AdhesionLost" in texts(shown)
 
 
-def test_json_has_the_dbcs_words_and_no_nan():
-    run = recorded()
+def test_json_has_the_dbcs_words_and_no_nan(run):
     shown = play(run.observer(), run.frames, END)
     plain = as_json(shown)
     again = json.loads(json.dumps(plain, allow_nan=False))

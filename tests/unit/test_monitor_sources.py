@@ -19,17 +19,10 @@ from gateway.monitor import log_source, sources
 from gateway.monitor.log_source import LogSource
 from gateway.monitor.sources import LiveSource, silently
 from gateway.reports.record import ADHESION, FAULT
-from tests.monitored import TICK, config_of, play, recorded, write
-from tests.simrun import codec
+from tests.monitored import TICK, config_of, play, recorded
+from tests.simrun import codec, log_of
 
 MS = 1_000_000
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("monitor") / "both.log"
-    write(path, recorded().frames)
-    return path
 
 
 def source(path, **options):
@@ -40,7 +33,7 @@ def test_what_is_seen_in_a_log_is_what_replay_wrote(tmp_path):
     """The drives' log, replayed; its flags put beside the drives' frames, then looked at."""
     run = recorded()
     drives, flags, both = (tmp_path / name for name in ("drives.log", "flags.log", "both.log"))
-    write(drives, run.drives)
+    log_of(drives, run.drives)
     assert main(["replay", str(drives), "-o", str(flags), "--results", str(tmp_path)]) == 0
     lines = drives.read_text().splitlines() + flags.read_text().splitlines()
     both.write_text("\n".join(sorted(lines, key=lambda line: line[: line.index(")")])) + "\n")
@@ -112,8 +105,7 @@ def test_an_impatient_seek_goes_on_by_itself(log):
 
 def test_frames_whose_time_goes_back_are_left_out_as_replay_does(tmp_path):
     run = recorded()
-    path = tmp_path / "back.log"
-    write(path, [f for f in run.frames if f.t_ns < 800 * MS])
+    path = log_of(tmp_path / "back.log", [f for f in run.frames if f.t_ns < 800 * MS])
     lines = path.read_text().splitlines()
     back = [line.replace(line[: line.index(")")], "(0.000001") for line in lines[100:2000:100]]
     for k, line in enumerate(back):
@@ -133,8 +125,7 @@ def test_a_hole_of_years_is_played_and_sought_through(tmp_path):
     years = 1_700_000_000 * 1_000_000_000
     early = [f for f in run.frames if f.t_ns <= 400 * MS]
     late = [f._replace(t_ns=f.t_ns + years) for f in run.frames if f.t_ns <= 400 * MS]
-    path = tmp_path / "hole.log"
-    write(path, early + late)
+    path = log_of(tmp_path / "hole.log", early + late)
     sought = source(path).seek(years / 1e9 + 0.4)
     assert sought.drives[0].adhesion is Flag.GOOD
     playing = source(path)

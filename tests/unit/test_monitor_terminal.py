@@ -13,16 +13,10 @@ from gateway.monitor.log_source import LogSource
 from gateway.monitor.model import panels, plots
 from gateway.monitor.model.snapshot import Event, Lateness, Trace
 from gateway.monitor.terminal import MonitorApp
-from tests.monitored import play, recorded, write
+from tests.monitored import play, recorded
+from tests.simrun import codec, log_of
 
 END = 3_000_000_000
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("terminal") / "both.log"
-    write(path, recorded().frames)
-    return path
 
 
 class Screen:
@@ -80,7 +74,7 @@ def test_everything_stands_on_a_screen_of_80_by_24(log):
         assert len(lines) == 24
         assert {len(line) for line in lines} == {80}
         text = text_of(lines)
-        for part in ("both.log", "GATEWAY", "Running", "Switching", "BUS ✓active",
+        for part in ("loss.log", "GATEWAY", "Running", "Switching", "BUS ✓active",
                      "frames/s", "LOAD Nm of drive 1", "P(lost)", "FLAGS LATE BY",
                      "stator", "? help", "PAUSED"):  # fmt: skip
             assert part in text, part
@@ -117,7 +111,6 @@ def test_a_drive_is_chosen_by_its_number_and_by_arrows(log):
 def test_numbers_of_two_digits(log):
     from gateway.monitor.model.observer import Observer
     from tests.monitored import config_of
-    from tests.simrun import codec
 
     nodes = tuple(range(1, 17))
     source = LogSource(log, lambda: Observer(codec(nodes), config_of(nodes)))
@@ -141,7 +134,7 @@ def test_numbers_of_two_digits(log):
 
 def test_pause_seek_and_speed_by_keys(log):
     async def steps(screen):
-        at = lambda lines: float(lines[0].split("both.log")[1].split()[0])  # noqa: E731
+        at = lambda lines: float(lines[0].split("loss.log")[1].split()[0])  # noqa: E731
         assert at(screen.lines()) == 1.0
         assert at(await screen.tick(0.3)) == 1.0
         await screen.press("space")
@@ -202,8 +195,7 @@ def test_a_wide_screen_has_more_columns_and_a_tiny_one_does_not_break(log):
 
 
 def test_no_gateway_and_a_shadow_are_said(tmp_path):
-    path = tmp_path / "drives.log"
-    write(path, recorded().drives)
+    path = log_of(tmp_path / "drives.log", recorded().drives)
 
     async def none(screen):
         text = text_of(screen.lines())
@@ -336,29 +328,20 @@ def test_a_strip_shows_the_gravest_and_a_bar_what_is_not_known():
 # ---- the verb ----------------------------------------------------------------------------------
 
 
-def refused(capsys, *words):
-    assert main(["monitor", *map(str, words)]) == 2
-    said = capsys.readouterr().err.strip()
-    assert said.startswith("traction-gateway: ")
-    assert "\n" not in said
-    return said
-
-
-def test_what_cannot_be_shown_is_one_line(capsys, log, monkeypatch, tmp_path):
-    assert "needs a terminal" in refused(capsys, log)
+def test_what_cannot_be_shown_is_one_line(refused, log, monkeypatch, tmp_path):
+    assert "needs a terminal" in refused("monitor", log)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    assert "a log and a bus" in refused(capsys, log, "-i", "virtual", "-c", "x")
-    assert "no such file" in refused(capsys, tmp_path / "none.log")
-    assert "for a log" in refused(capsys, "-i", "virtual", "-c", "x", "--at", "3")
-    assert "name one" in refused(capsys)
+    assert "a log and a bus" in refused("monitor", log, "-i", "virtual", "-c", "x")
+    assert "no such file" in refused("monitor", tmp_path / "none.log")
+    assert "for a log" in refused("monitor", "-i", "virtual", "-c", "x", "--at", "3")
+    assert "name one" in refused("monitor")
     monkeypatch.setitem(sys.modules, "textual", None)
     monkeypatch.setattr("gateway.io.extras.find_spec", lambda name: None)
-    assert "pip install 'textual>=8' 'textual-plotext" in refused(capsys, log)
+    assert "pip install 'textual>=8' 'textual-plotext" in refused("monitor", log)
 
 
-def test_a_log_that_vanishes_ends_the_view_with_one_line(capsys, monkeypatch, tmp_path):
-    path = tmp_path / "vanishing.log"
-    write(path, recorded().frames)
+def test_a_log_that_vanishes_ends_the_view_with_one_line(refused, monkeypatch, tmp_path):
+    path = log_of(tmp_path / "vanishing.log", recorded().frames)
     real = MonitorApp.run
 
     async def steps(app, pilot):
@@ -373,12 +356,11 @@ def test_a_log_that_vanishes_ends_the_view_with_one_line(capsys, monkeypatch, tm
         MonitorApp, "run",
         lambda app: real(app, headless=True, size=(80, 24), auto_pilot=lambda p: steps(app, p)),
     )  # fmt: skip
-    assert "no such file" in refused(capsys, path)
+    assert "no such file" in refused("monitor", path)
 
 
 def test_a_name_cannot_bring_control_characters_to_the_terminal(tmp_path):
-    path = tmp_path / "a\x1b[2Jb.log"
-    write(path, recorded().drives[:50])
+    path = log_of(tmp_path / "a\x1b[2Jb.log", recorded().drives[:50])
     source = opened(path)
     assert "\x1b" not in source.title
 

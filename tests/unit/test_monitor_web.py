@@ -2,11 +2,8 @@
 
 import hashlib
 import json
-import os
 import re
 import socket
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
 
@@ -21,6 +18,7 @@ from gateway.monitor.model.access import WRONG_MOST, Access, Listen, token_of
 from gateway.monitor.model.snapshot import Event
 from gateway.monitor.web import STATIC, bind, is_loopback, make_app
 from gateway.settings.config import ConfigError
+from tests.programs import gateway
 from tests.watched import FakeSource, server_of, until
 
 TOKEN = "s3cret-Token-of-32-characters-ab"
@@ -467,11 +465,8 @@ def test_a_port_in_use_is_told():
             bind(where)
 
 
-def command(*words, cwd=None, env=None):
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", "monitor", *words], capture_output=True, text=True,
-        check=False, cwd=cwd, env={**os.environ, **(env or {})}, timeout=120,
-    )  # fmt: skip
+def command(*words, folder=None, **changes):
+    done = gateway("monitor", *words, folder=folder, **changes)
     assert "Traceback" not in done.stderr
     return done.returncode, done.stderr.strip().splitlines()
 
@@ -499,7 +494,7 @@ def test_addresses_and_tokens_on_the_command_line(tmp_path, words, cure):
     ):  # fmt: skip
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(mode)
-    code, lines = command(*words, cwd=tmp_path)
+    code, lines = command(*words, folder=tmp_path)
     assert code == 2
     assert len(lines) == 1
     assert cure in lines[0]
@@ -509,7 +504,7 @@ def test_addresses_and_tokens_on_the_command_line(tmp_path, words, cure):
 def test_a_token_as_a_credential_of_the_service_manager(tmp_path):
     (tmp_path / "web.token").write_text(TOKEN)
     words = ("none.log", "--web", "0.0.0.0:0", "--token-file", "web.token")
-    code, lines = command(*words, env={"CREDENTIALS_DIRECTORY": str(tmp_path)})
+    code, lines = command(*words, CREDENTIALS_DIRECTORY=str(tmp_path))
     assert code == 2
     assert "none.log" in lines[-1], "the token is taken, the log is what is missing"
     code, lines = command(*words)
@@ -519,8 +514,8 @@ def test_a_token_as_a_credential_of_the_service_manager(tmp_path):
 
 def test_a_token_can_be_made(tmp_path):
     made = tmp_path / "web.token"
-    words = [sys.executable, "-m", "gateway", "keygen", "--token", "-o", str(made)]
-    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+    words = "keygen", "--token", "-o", made
+    assert gateway(*words).returncode == 0
     assert made.stat().st_mode & 0o777 == 0o600
     assert len(token_of(made.read_bytes(), "x")) >= 43
-    assert subprocess.run(words, capture_output=True, check=False).returncode == 2, "never over one"
+    assert gateway(*words).returncode == 2, "never over one"

@@ -21,15 +21,19 @@ KNOWN = {
 }
 
 
-def received(kind, without):
-    """Speed, current and command of drive 1, NaN where none is known."""
+def drive_of(kind, values):
+    """What is kept of drive 1 after 29 ticks, of which each has one message: values(k)."""
     codec = codec_for()
     gateway = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec, 0)
     sender = Sender(codec, f"Drive1_{kind}")
     for k in range(1, 30):
-        values = {**KNOWN[kind], without: None}
-        gateway.step([sender.frame(10 * k * MS, **values)], 10 * k * MS)
-    drive = gateway.inbox.receiver.drives[0]
+        gateway.step([sender.frame(10 * k * MS, **values(k))], 10 * k * MS)
+    return gateway.inbox.receiver.drives[0]
+
+
+def received(kind, without):
+    """Speed, current and command of drive 1, NaN where none is known."""
+    drive = drive_of(kind, lambda k: {**KNOWN[kind], without: None})
     return float(drive["speed"]), float(drive["irms"]), float(drive["command"])
 
 
@@ -42,13 +46,8 @@ def test_status(without):
 
 
 def test_a_status_without_command_and_current_says_nothing():
-    codec = codec_for()
-    gateway = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec, 0)
-    sender = Sender(codec, "Drive1_Status")
-    for k in range(1, 30):
-        values = KNOWN["Status"] if k < 20 else {"Irms": None, "TorqueCommand": None, "State": 2}
-        gateway.step([sender.frame(10 * k * MS, **values)], 10 * k * MS)
-    drive = gateway.inbox.receiver.drives[0]
+    nothing = {"Irms": None, "TorqueCommand": None, "State": 2}
+    drive = drive_of("Status", lambda k: KNOWN["Status"] if k < 20 else nothing)
     assert (drive["irms"], drive["command"]) == (pytest.approx(70.0), pytest.approx(20.0))
     assert drive["command_ns"] == 190 * MS, "the last that said something"
 

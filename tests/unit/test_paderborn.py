@@ -1,10 +1,9 @@
 """The thermal model on recordings in the form of the Paderborn ones, of a motor made up here."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+
+from tests.programs import ended
 
 HEAD = (
     "u_q,coolant,stator_winding,u_d,stator_tooth,motor_speed,i_d,i_q,pm,stator_yoke,ambient,"
@@ -46,8 +45,7 @@ def recordings():
 
 def run(path, rows):
     np.savetxt(path, np.concatenate(rows), delimiter=",", header=HEAD, comments="", fmt="%.6g")
-    command = [sys.executable, "-m", "bench.paderborn", str(path)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return ended("-m", "bench.paderborn", path)
 
 
 def test_it_learns_from_some_profiles_and_is_judged_on_the_three_of_the_literature(

@@ -11,8 +11,9 @@ from gateway.io.bus import open_transport
 from gateway.io.canopen_node import CanopenNode
 from gateway.io.outputs import Outputs
 from gateway.io.permission import Mode, allowed, drives_only
-from gateway.io.transport import Guarded, SendResult, Status
+from gateway.io.transport import Guarded, SendResult
 from gateway.settings.config import ConfigError, parse, shipped_dbc
+from tests.buses import Bus
 
 FLAGS = {0x1A0: 8, 0x2A0: 8, 0x3A0: 8, 0x4A0: 8}
 SERVICE = {0x720: 1, 0x0A0: 8}
@@ -90,23 +91,11 @@ def test_fd_messages_are_allowed_as_fd_only():
     assert not allow.permits(Frame(0, 0x182, bytes(64), FD | BRS))
 
 
-class Sink:
-    """Takes whatever reaches it."""
-
-    def __init__(self):
-        self.status = Status()
-        self.sent = []
-
-    def send(self, frame):
-        self.sent.append(frame)
-        return self.status.count(SendResult.SENT)
-
-
 def test_on_a_channel_that_is_not_named_nothing_is_opened(codec):
     allow = allowed(Mode.RUN, config(bus={"send_on": ["can0", "can2"]}), codec)
-    Guarded(Sink(), allow, "can0")
+    Guarded(Bus(), allow, "can0")
     with pytest.raises(ConfigError, match=r"channel can1: \[bus\] send_on allows can0, can2"):
-        Guarded(Sink(), allow, "can1")
+        Guarded(Bus(), allow, "can1")
     with pytest.raises(ConfigError, match="listen-only"):
         open_transport({"interface": "virtual", "channel": "x"}, allow)
     listening = allowed(Mode.LISTEN, config(bus={"send_on": ["can0"]}), codec)
@@ -117,11 +106,11 @@ def test_on_a_channel_that_is_not_named_nothing_is_opened(codec):
     transport.close()
     nowhere = allowed(Mode.RUN, config(bus={"send_on": []}), codec)
     with pytest.raises(ConfigError, match="allows none"):
-        Guarded(Sink(), nowhere, "can0")
+        Guarded(Bus(), nowhere, "can0")
 
 
 def test_a_frame_of_another_channel_is_refused(codec):
-    sink = Sink()
+    sink = Bus()
     guarded = Guarded(sink, allowed(Mode.RUN, config(), codec), "can0")
     assert not guarded.status.silent
     flag = Frame(0, 0x1A0, bytes(8))
@@ -148,7 +137,7 @@ def test_there_is_no_sdo_server_on_the_gateway(codec):
     """Every request, to it and to its drives, meets silence: no answer, no abort, no change."""
     chosen = config(canopen={"nmt_master": True})
     gateway, node = Gateway(chosen, codec, 0), CanopenNode((1, 3), nmt_master=True)
-    sink = Sink()
+    sink = Bus()
     guarded = Guarded(sink, allowed(Mode.RUN, chosen, codec), "can0")
     quiet_gateway, quiet_node = Gateway(chosen, codec, 0), CanopenNode((1, 3), nmt_master=True)
     index = 0x1017.to_bytes(2, "little")

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from gateway.commands.progress import Progress, stepped, track
+from tests.programs import gateway
 
 ROOT = Path(__file__).parents[2]
 LEFT = re.compile(r"left (?:\x1b\[[\d;]*m)*(?:-:--:--|\d+:\d\d:\d\d)")
@@ -46,7 +47,7 @@ def folder(tmp_path_factory):
     """With a log of three drives, in which the second loses adhesion."""
     made = tmp_path_factory.mktemp("progress")
     words = "sim", "demo", "--duration", "5", "-o", "three.log"
-    subprocess.run([*PROGRAM, *words], cwd=made, check=True, capture_output=True)
+    assert gateway(*words, folder=made).returncode == 0
     return made
 
 
@@ -66,9 +67,8 @@ VERBS = {
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_terminal_is_told_the_time_left_and_a_pipe_is_not(verb, folder, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    words = *PROGRAM, *VERBS[verb]
-    piped = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-    code, shown = on_terminal(*words, cwd=folder)
+    piped = gateway(*VERBS[verb], folder=folder)
+    code, shown = on_terminal(*PROGRAM, *VERBS[verb], cwd=folder)
     assert code == piped.returncode
     assert code in (0, 1), piped.stderr
     assert LEFT.search(shown), shown[-2000:]

@@ -192,6 +192,12 @@ def counted(box):
     return {name: n for name, n in box.counts.items() if n and name not in left_out}
 
 
+def feed(box, plain, frames, now):
+    box.take(frames, now)
+    plain.take(frames, now)
+    assert_same(box, plain)
+
+
 @pytest.mark.parametrize(("path", "wrong"), [
     *((CLASSIC, wrong) for wrong in (0.0, 0.02, 0.1, 0.4)), (FD_FILE, 0.02), (FD_FILE, 0.4),
     *(pytest.param(FD_FILE, wrong, marks=pytest.mark.thorough) for wrong in (0.0, 0.1)),
@@ -236,9 +242,7 @@ def test_a_copy_goes_on_by_itself():
     box, plain = both(codec)
     bus = Bus(codec, 1, 0.05)
     for tick in range(1, 30):
-        frames = bus.frames(tick * TICK)
-        box.take(frames, tick * TICK)
-        plain.take(frames, tick * TICK)
+        feed(box, plain, bus.frames(tick * TICK), tick * TICK)
     twin = copy.deepcopy(box, {id(codec): codec})
     before = box.receiver.channels.copy()
     frames = bus.frames(30 * TICK)
@@ -254,9 +258,7 @@ def test_more_frames_than_there_is_room_for():
     box, plain = both(codec)
     sender = Sender(codec, "Drive1_Motion")
     frames = [sender.frame(k, Speed=k, Torque=1.0, ElectricalAngle=10.0) for k in range(1, 300)]
-    box.take(frames, TICK)
-    plain.take(frames, TICK)
-    assert_same(box, plain)
+    feed(box, plain, frames, TICK)
     assert box.receiver.rows >= 299
 
 
@@ -273,9 +275,7 @@ def test_counters_of_the_longest_turns():
                     frame = sender.frame(max(t, 0), SampleIndex=at, **dict.fromkeys(
                         USED["Samples"][1:], 1.0,
                     ))  # fmt: skip
-                    box.take([frame], now)
-                    plain.take([frame], now)
-                    assert_same(box, plain)
+                    feed(box, plain, [frame], now)
 
 
 def test_every_identifier_is_looked_up():
@@ -336,7 +336,7 @@ def test_each_temperature_by_itself_is_a_sign_of_life_and_quality_may_be_any_col
     for alone in SIGNALS["Temperatures"]:
         box, plain = both(codec)
         values = {name: 50.0 if name == alone else math.nan for name in SIGNALS["Temperatures"]}
-        feed(box, plain, Sender(codec, "Drive1_Temperatures").frame(MS, **values), TICK)
+        feed(box, plain, [Sender(codec, "Drive1_Temperatures").frame(MS, **values)], TICK)
     for kind in ("Temperatures", "Motion"):
         box, _ = both(codec)
         box.receiver.channels["quality"] = 0  # a checksum that is neither valid nor degraded
@@ -352,23 +352,17 @@ def test_inverters_of_other_makers(wrong):
     long = {spec.can_id for spec in codec.messages if spec.is_extended and not spec.is_gateway}
     box, plain = both(codec)
     bus = Bus(codec, 7, wrong)
-    operating = set()
+    operating, second = set(), {c.spec.can_id for c in box.channels if c.drive == 1}
     for tick in range(1, 200):
         frames = [] if 60 < tick < 100 else bus.frames(tick * TICK)
         frames = [f._replace(flags=f.flags | EXTENDED) if f.can_id in long else f for f in frames]
         if 110 < tick < 130:  # one drive without protection sends what is too short
-            frames = [
-                f._replace(data=f.data[1:]) if f.can_id in box_ids(box, 1) else f for f in frames
-            ]
+            frames = [f._replace(data=f.data[1:]) if f.can_id in second else f for f in frames]
         box.take(frames, tick * TICK)
         (plain.take if frames else lambda _, now: plain.time_out(now))(frames, tick * TICK)
         assert_same(box, plain, came=bool(frames))
         operating |= set(map(bool, box.receiver.drives["operating"]))
     assert operating == {False, True}
-
-
-def box_ids(box, drive):
-    return {channel.spec.can_id for channel in box.channels if channel.drive == drive}
 
 
 def test_halves_that_come_in_another_order():
@@ -381,14 +375,14 @@ def test_halves_that_come_in_another_order():
             senders = {kind: Sender(codec, f"Drive1_{kind}") for kind in (first, second)}
             for kind in (first, second):
                 for t in (MS, 3 * MS, 5 * MS):  # until the receiver is valid
-                    feed(box, plain, senders[kind].frame(t, **steady(kind)), 10 * MS)
+                    feed(box, plain, [senders[kind].frame(t, **steady(kind))], 10 * MS)
             box.receiver.drives["sample_ns"][0] += later * MS
             plain.drives[0].sample_ns += later * MS
-            feed(box, plain, senders[first].frame(100 * MS, **steady(first)), 100 * MS)
-            t = (100 - apart) * MS
-            feed(box, plain, senders[second].frame(t, **steady(second)), 110 * MS)
-            feed(box, plain, senders[first].frame(104 * MS, **steady(first)), 110 * MS)
-            feed(box, plain, senders[second].frame(104 * MS, **steady(second)), 110 * MS)
+            for kind, t, now in (
+                (first, 100, 100), (second, 100 - apart, 110), (first, 104, 110),
+                (second, 104, 110),
+            ):  # fmt: skip
+                feed(box, plain, [senders[kind].frame(t * MS, **steady(kind))], now * MS)
             assert box.counts["late"] == plain.counts["late"]
             late += box.counts["late"]
     assert late
@@ -397,12 +391,6 @@ def test_halves_that_come_in_another_order():
 def steady(kind):
     more = {"Udc": 500.0} if kind == "StatorVoltages" else {}
     return {**dict.fromkeys(SIGNALS[kind], 1.0), **more}
-
-
-def feed(box, plain, frame, now):
-    box.take([frame], now)
-    plain.take([frame], now)
-    assert_same(box, plain)
 
 
 def test_a_block_that_is_turns_of_its_counter_late():
@@ -414,12 +402,12 @@ def test_a_block_that_is_turns_of_its_counter_late():
         values = {s.name: 1.0 for s in sender.spec.signals if s.name[0] in "IUQ"}
         for k in range(4):
             frame = sender.frame(start + (k + 1) * MS, SampleIndex=8 * k, **values)
-            feed(box, plain, frame, start + 10 * MS)
+            feed(box, plain, [frame], start + 10 * MS)
         box.receiver.drives["sample_ns"][0] += ahead
         plain.drives[0].sample_ns += ahead
         box.receiver.space["sample_u"][8:] = 77.0
         frame = sender.frame(start + 5 * MS, SampleIndex=32, **values)
-        feed(box, plain, frame, start + 10 * MS)
+        feed(box, plain, [frame], start + 10 * MS)
         met.add((len(plain.samples), bool(plain.restart)))
         assert (box.receiver.space["sample_u"][8:] == 77.0).all(), "no more than there are"
     assert met == {(8, False), (8, True), (0, False)}

@@ -11,6 +11,7 @@ import pytest
 from gateway.core.codes import Reason
 from gateway.core.supervision import Supervision
 from tests.sender import FD_FILE, MS, Sender, codec_for
+from tests.simrun import by_tick
 from tests.stations import Inbox, is_fresh
 
 TICK = 10 * MS
@@ -68,13 +69,9 @@ class Line:
 
     def reasons(self, frames):
         """Why the message is not used, tick by tick."""
-        out, first = [], 0
-        for tick in range(1, frames[-1].t_ns // TICK + 1):
-            now, last = tick * TICK, first
-            while last < len(frames) and frames[last].t_ns <= now:
-                last += 1
-            self.box.take(frames[first:last], now)
-            first = last
+        out = []
+        for now, part in by_tick(frames, range(TICK, frames[-1].t_ns + 1, TICK)):
+            self.box.take(part, now)
             out.append(Reason(self.box.receiver.channels["reason"][self.channel.row]))
         return out
 

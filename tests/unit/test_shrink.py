@@ -259,10 +259,7 @@ def test_the_state_of_mapped_inverters_is_in_the_start_record(tmp_path):
     config, codec = prepare(INVERTERS / "cascadia_pm.toml")
     lost = {"at_s": 2.0, "for_s": 1.0, "drive": 1, "kind": "adhesion_loss", "depth": 0.8}
     drives = simrun.run(Simulation(simrun.scenario(drives=3, event=[lost]), simrun.codec()), 3.5)
-    log = tmp_path / "cascadia.log"
-    with Writer(log) as writer:
-        for frame in sorted(spoken(config, drives), key=lambda frame: frame.t_ns):
-            writer.write(frame)
+    log = simrun.log_of(tmp_path / "cascadia.log", spoken(config, drives))
     for ticks in (1, 7, 150):
         assert_goes_on(config, codec, reduce(join, Reader(log).blocks()), ticks)
     start, *changes = gateway.replay(log, config).events.to_pylist()

@@ -138,15 +138,16 @@ def test_without_a_signature_or_with_anothers_nothing_runs(signed, tmp_path, cap
 @pytest.mark.parametrize(
     "verb", [("run", "-i", "virtual", "-c", "x"), ("replay", "none.log"), ("hil", "wet_one")]
 )
-def test_every_way_to_run_refuses(signed, verb, capsys):
+def test_every_way_to_run_refuses(signed, verb, refused):
     signed.config.write_text(TOML + "[bus]\nfd = true\n")
     words = [*verb, "--config", str(signed.config), "--public-key", str(signed.public)]
-    assert main(words) == 2
-    assert "is not the file that was signed" in capsys.readouterr().err
-    assert main([*verb, "--public-key", str(signed.public)]) == 2
-    assert "built-in configuration has no signature" in capsys.readouterr().err
-    assert main([*verb, "--config", str(signed.config), "--signature", "x.sig"]) == 2
-    assert "without --public-key" in capsys.readouterr().err
+    assert "is not the file that was signed" in refused(*words)
+    assert "built-in configuration has no signature" in refused(
+        *verb, "--public-key", signed.public
+    )
+    assert "without --public-key" in refused(
+        *verb, "--config", signed.config, "--signature", "x.sig"
+    )
 
 
 def test_a_dbc_put_beside_the_configuration_is_not_the_shipped_one(signed, capsys):
@@ -215,24 +216,20 @@ def test_openssl_agrees_with_keys_and_signature(signed, tmp_path):
     assert "Successfully" in done.stdout
 
 
-def test_private_keys_are_private_and_of_the_right_kind(signed, tmp_path, capsys):
+def test_private_keys_are_private_and_of_the_right_kind(signed, tmp_path, refused):
     assert signed.private.stat().st_mode & 0o777 == 0o600
     signed.private.chmod(0o644)
-    assert main(["sign", str(signed.config), "--key", str(signed.private)]) == 2
-    assert "chmod 600" in capsys.readouterr().err
+    assert "chmod 600" in refused("sign", signed.config, "--key", signed.private)
     wrong = tmp_path / "wrong.pem"
     wrong.write_text("no key")
     wrong.chmod(0o600)
-    assert main(["sign", str(signed.config), "--key", str(wrong)]) == 2
-    assert "no private ed25519 key" in capsys.readouterr().err
-    assert main(["keygen", "-o", str(signed.private)]) == 2
-    assert "File exists" in capsys.readouterr().err
+    assert "no private ed25519 key" in refused("sign", signed.config, "--key", wrong)
+    assert "File exists" in refused("keygen", "-o", signed.private)
 
 
-def test_what_cannot_be_used_is_not_signed(signed, capsys):
+def test_what_cannot_be_used_is_not_signed(signed, refused):
     signed.config.write_text("[loop]\nrate = 5\n")
-    assert main(["sign", str(signed.config), "--key", str(signed.private)]) == 2
-    assert "loop.rate" in capsys.readouterr().err
+    assert "loop.rate" in refused("sign", signed.config, "--key", signed.private)
 
 
 def test_the_hash_covers_configuration_dbc_and_calibration(signed):

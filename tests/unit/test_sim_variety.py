@@ -169,13 +169,13 @@ def test_lost_on_the_rail_begins_and_ends_with_the_rail(torque):
              "motion": {"speed": 120.0, "effort_nm": 25.0}}  # fmt: skip
     simulation = Simulation(scenario(**table), codec())
     run(simulation, 2.5)
-    for drive_rows in (rows(simulation, 1),):
-        lost = [r.t_s for r in drive_rows if r.lost]
-        assert (lost[0], lost[-1]) == (pytest.approx(1.0, abs=0.011), pytest.approx(1.5, abs=0.011))
-        assert len(lost) == pytest.approx(50, abs=2)
-        deep = [r.depth for r in drive_rows if 1.05 < r.t_s < 1.49]
-        assert min(deep) > 0.65
-        assert max(deep) < 0.75
+    drive_rows = rows(simulation, 1)
+    lost = [r.t_s for r in drive_rows if r.lost]
+    assert (lost[0], lost[-1]) == (pytest.approx(1.0, abs=0.011), pytest.approx(1.5, abs=0.011))
+    assert len(lost) == pytest.approx(50, abs=2)
+    deep = [r.depth for r in drive_rows if 1.05 < r.t_s < 1.49]
+    assert min(deep) > 0.65
+    assert max(deep) < 0.75
 
 
 def test_the_driver_asks_for_no_more_than_his_effort():

@@ -15,15 +15,19 @@ NOISE = 0.01
 any_load = st.floats(-1e3, 1e3) | st.sampled_from([0.0, -0.0, np.inf, -np.inf, np.nan])
 
 
-def run(loads, detector=None, noise=NOISE, seed=0, usable=None):
-    """Loads (T, N) without noise: P(lost) (T, N) of each step."""
-    detector, rng = detector or SwitchingDetector(), np.random.default_rng(seed)
+def both(loads, detector=None, noise=NOISE):
+    """Loads (T, N) without noise: P(lost) and P(adhering) (T, N) of each step."""
+    detector, rng = detector or SwitchingDetector(), np.random.default_rng(0)
     out = []
     for load in np.asarray(loads, dtype=float):
-        known = np.ones(len(load), dtype=bool) if usable is None else np.array(usable)
         y = load + noise * rng.standard_normal(len(load))
-        out.append(detector(Evidence(y, np.full(len(load), noise), known)).lost)
-    return np.array(out)
+        spread, known = np.full(len(load), noise), np.ones(len(load), dtype=bool)
+        out.append((detector(Evidence(y, spread, known)).lost, detector.model.adhering.copy()))
+    return np.array(out).swapaxes(0, 1)
+
+
+def run(*given, **more):
+    return both(*given, **more)[0]
 
 
 def train(steps, *share, demand=0.6):
@@ -142,30 +146,21 @@ def test_a_loss_that_was_there_before_is_found_whichever_drive_it_is(lost):
 
 def test_what_was_learnt_from_a_loss_that_was_there_before_is_given_up():
     """Two of three lost at the start look like drives that differ; back, they look like nothing."""
-    detector, rng = SwitchingDetector(), np.random.default_rng(0)
     loads = np.concatenate([
         train(60, 1, 0.74, 0.7, demand=-0.72), train(6, 1, 0.74, 1, demand=-0.72),
         train(150, 1, 1, 1, demand=-0.72),
     ])  # fmt: skip
-    adhering = []
-    for load in loads:
-        y = load + NOISE * rng.standard_normal(3)
-        detector(Evidence(y, np.full(3, NOISE), np.ones(3, dtype=bool)))
-        adhering.append(detector.model.adhering.copy())
-    assert (np.array(adhering[75:105])[:, 1:] < 0.1).all(), "it contradicts what was learnt"
-    assert (np.array(adhering[135:]) > 0.9).all()
+    _, adhering = both(loads)
+    assert (adhering[75:105, 1:] < 0.1).all(), "it contradicts what was learnt"
+    assert (adhering[135:] > 0.9).all()
 
 
 def test_one_load_that_means_nothing_is_not_given_up_for():
     """Of three, whatever the time: the others are right."""
     loads = np.concatenate([train(60, 1, 1, 1), train(300, 1, 1.6, 1)])
-    detector, rng = SwitchingDetector(), np.random.default_rng(0)
-    for step, load in enumerate(loads):
-        y = load + NOISE * rng.standard_normal(3)
-        detector(Evidence(y, np.full(3, NOISE), np.ones(3, dtype=bool)))
-        if step > 70:
-            assert (detector.model.adhering[[0, 2]] > 0.9).all()
-            assert detector.model.adhering[1] < 0.1
+    _, adhering = both(loads)
+    assert (adhering[71:, [0, 2]] > 0.9).all()
+    assert (adhering[71:, 1] < 0.1).all()
 
 
 def test_a_scaled_load_is_as_uncertain_as_it_is():

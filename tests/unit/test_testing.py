@@ -1,7 +1,5 @@
 """The pytest plugin as its user meets it, and the picture of a failure."""
 
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -10,6 +8,7 @@ import pytest
 from dbc.frame import MS
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
+from tests.programs import ended
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "regression"
 
@@ -44,10 +43,7 @@ def test_no_such_fault(inverter):
 
 
 def run_pytest(folder, *words, python=()):
-    command = [sys.executable, *python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
-    return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=300, check=False
-    )
+    return ended(*python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words, folder=folder)
 
 
 def test_the_example_suite_passes(tmp_path):

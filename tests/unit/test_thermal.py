@@ -6,33 +6,22 @@ import pytest
 from dbc.records import FLAG_INPUTS
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.core.inbox import Temperatures
-from gateway.settings.calibration import Calibration, MotorCalibration
+from tests.fleet_limits import calibration, motor
 from tests.stations import TemperatureMonitor
 
 MS = 1_000_000
 NODES = (1, 2, 3)
-
-
-def calibration():
-    cells = {
-        "gain": (1,) * 3,
-        "offset_k": (0,) * 3,
-        "longest_hold_s": (0.5,) * 3,
-        "largest_step_k": (0.5,) * 3,
-    }
-    return Calibration(
-        window_s=2.0,
-        maisd_limit_k=(0.5,) * 3,
-        deviation_limit_k=(1.0,) * 3,
-        motor=tuple(MotorCalibration(node=n, **cells) for n in NODES),
-    )
+LEARNT = calibration(map(motor, NODES))
 
 
 class Rig:
-    def __init__(self, cells):
-        self.side = TemperatureMonitor(3, 100 * MS, 2.0, cells, NODES)
+    def __init__(self, learnt, seconds=0):
+        """seconds: of health before."""
+        self.side = TemperatureMonitor(3, 100 * MS, 2.0, learnt, NODES)
         self.rng = np.random.default_rng(1)
         self.k = 0
+        if seconds:
+            self.run(seconds)
 
     def run(self, seconds, change=lambda j, t, values: values, lost=()):
         for _ in range(round(seconds * 10)):
@@ -58,7 +47,7 @@ def test_without_calibration_thermal_is_unknown_and_says_config():
 
 
 def test_healthy_motors_are_good():
-    reports = Rig(calibration()).run(20)
+    reports = Rig(LEARNT).run(20)
     assert {r.thermal for r in reports} == {Flag.GOOD}
     assert {r.fault_class for r in reports} == {FaultClass.NONE}
 
@@ -73,8 +62,7 @@ def test_healthy_motors_are_good():
     ],
 )
 def test_the_hot_motor_and_its_class_are_named(weights, kind):
-    rig = Rig(calibration())
-    rig.run(10)
+    rig = Rig(LEARNT, 10)
     slope = np.array([*weights, 0.0]) * 0.3
 
     def heat(j, t, values):
@@ -87,8 +75,7 @@ def test_the_hot_motor_and_its_class_are_named(weights, kind):
 
 
 def test_a_stuck_sensor_is_a_sensor_fault_not_a_thermal_one():
-    rig = Rig(calibration())
-    rig.run(10)
+    rig = Rig(LEARNT, 10)
     stuck = lambda j, t, v: np.array([v[0], 49.7, v[2], v[3]]) if j == 2 else v  # noqa: E731
     reports = rig.run(15, stuck)
     assert reports[2].sensor is Flag.BAD
@@ -99,8 +86,7 @@ def test_a_stuck_sensor_is_a_sensor_fault_not_a_thermal_one():
 
 
 def test_a_lost_sensor_is_never_a_hot_motor():
-    rig = Rig(calibration())
-    rig.run(10)
+    rig = Rig(LEARNT, 10)
     reports = rig.run(3, lost={(0, 0)})
     assert reports[0].fault_class is FaultClass.SENSOR_LOST
     assert reports[0].fault_sensor is FaultSensor.STATOR
@@ -108,8 +94,7 @@ def test_a_lost_sensor_is_never_a_hot_motor():
 
 
 def test_a_jump_within_a_reading_is_the_sensors_and_recovers():
-    rig = Rig(calibration())
-    rig.run(10)
+    rig = Rig(LEARNT, 10)
     jumped = lambda j, t, v: v + np.array([9.0, 0, 0, 0]) if j == 1 else v  # noqa: E731
     reports = rig.run(10, jumped)
     assert reports[1].fault_class is FaultClass.SENSOR_BIAS
@@ -119,8 +104,7 @@ def test_a_jump_within_a_reading_is_the_sensors_and_recovers():
 
 
 def test_silence_is_stale():
-    rig = Rig(calibration())
-    rig.run(10)
+    rig = Rig(LEARNT, 10)
     now = rig.k * 100 * MS + 1_000 * MS
     assert rig.side.report(0, now, 310 * MS).reason is Reason.STALE
 
@@ -129,7 +113,7 @@ def test_silence_is_stale():
 def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
     """Readings that come, fail, stop for good or for a while; ticks of any length."""
     rng = np.random.default_rng(seed)
-    told, asked = (TemperatureMonitor(3, 100 * MS, 2.0, calibration(), NODES) for _ in range(2))
+    told, asked = (TemperatureMonitor(3, 100 * MS, 2.0, LEARNT, NODES) for _ in range(2))
     out, met, now = np.zeros(3, FLAG_INPUTS), set(), 0
     limits = np.array([310 * MS, 310 * MS, 0])
     for side in (told, asked):

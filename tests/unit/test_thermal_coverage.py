@@ -9,18 +9,22 @@ from estimators.thermal import coverage
 from estimators.thermal import model_method as method
 from estimators.thermal.model_method import followed
 from estimators.thermal.monitor import MOST_FALSE, Coverage, ThermalMonitor
-from tests.unit.test_thermal_monitor_order import FLEET, MOTORS, K, known, through, train
+from tests.unit.test_thermal_monitor_order import (
+    FLEET,
+    MOTORS,
+    K,
+    healthy_runs,
+    known,
+    through,
+    train,
+)
 
 __all__ = ["known"]
 
 
 @pytest.fixture(scope="module")
 def healthy():
-    """Two runs with nothing wrong at their end."""
-    runs = [train(1), train(2)]
-    for run in runs:
-        run.temperature[K // 2 :, 1, 1] -= 6.0
-    return runs
+    return healthy_runs()
 
 
 def blocks(known, record):

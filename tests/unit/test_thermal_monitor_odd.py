@@ -256,9 +256,7 @@ def test_without_readings_a_block_says_nothing_and_with_half_of_them_it_has_a_me
 
 
 def test_who_is_compared_with_others_than_before_may_stand_as_much_elsewhere():
-    fleet, level = train(4), np.random.default_rng(6).standard_normal((4, 3))
-    fleet.motors["block"][:, :, :16] = level[:, :, None]
-    fleet.close_block()
+    fleet, level = levels()
     before, fleet.motors["held"][3] = fleet.motors["imm"]["cov"].copy(), True
     fleet.close_block()
     for m in range(4):

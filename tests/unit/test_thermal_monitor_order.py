@@ -43,13 +43,17 @@ def turn(record, known):
     return swapped, known
 
 
-@pytest.fixture(scope="module")
-def known():
-    """Of a train with nothing wrong at its end."""
+def healthy_runs():
+    """Two runs in which nothing steps."""
     runs = [train(1), train(2)]
     for run in runs:
         run.temperature[K // 2 :, 1, 1] -= 6.0
-    return method.learn(FLEET, runs)
+    return runs
+
+
+@pytest.fixture(scope="module")
+def known():
+    return method.learn(FLEET, healthy_runs())
 
 
 def through(monitor, record, work=MOTORS):
@@ -170,9 +174,7 @@ def test_samples_too_close_together_are_refused(known):
 
 
 def test_what_is_learnt_is_right_and_knows_no_order(known):
-    runs = [train(1), train(2)]
-    for run in runs:
-        run.temperature[K // 2 :, 1, 1] -= 6.0
+    runs = healthy_runs()
     assert np.abs(known.noise / NOISE_K - 1.0).max() < 0.2
     swapped = [turn(run, known)[0] for run in runs]
     got, want = method.learn(FLEET[TURNED], swapped), turn(runs[0], known)[1]
@@ -188,10 +190,8 @@ def test_what_is_learnt_is_right_and_knows_no_order(known):
 
 def test_a_model_that_explains_less_is_trusted_less(known):
     """What five lumps have no number for, here the sun on one motor, widens what is learnt."""
-    runs = [train(1), train(2)]
-    rng = np.random.default_rng(8)
+    runs, rng = healthy_runs(), np.random.default_rng(8)
     for run in runs:
-        run.temperature[K // 2 :, 1, 1] -= 6.0
         run.temperature[:, 2] += 0.15 * np.cumsum(rng.standard_normal(K) / 8.0)[:, None]
     wrong = method.learn(FLEET, runs)
     assert wrong.own_k > known.own_k

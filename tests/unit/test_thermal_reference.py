@@ -82,31 +82,30 @@ def residuals(kind, rng, k=400):
     return x
 
 
+def followed(x, spacing=1.0):
+    """Offsets of a residual (K,), which are the reference's to the bit."""
+    found, want = step_detector.config(spacing)[0], np.zeros((len(x), 1))
+    counts = np.array([found["before"], found["after"], found["settled"]])
+    reference_steps.follow(x[:, None], counts, 1.5, 1.0, 0.1 * spacing, want)
+    np.testing.assert_array_equal(offsets(x[:, None, None], spacing)[:, :, 0], want)
+    return want[:, 0]
+
+
 @pytest.mark.parametrize("kind", ["quiet", "steps", "heat", "bursts", "extreme"])
 @pytest.mark.parametrize("spacing", [2.0, 1.0])
 def test_steps_equal_the_reference_to_the_bit(kind, spacing):
     rng = np.random.default_rng([len(kind), int(spacing)])
-    found = step_detector.config(spacing)[0]
-    counts = np.array([found["before"], found["after"], found["settled"]])
     for _ in range(12):
-        x = residuals(kind, rng)[:, None]
-        want = np.zeros_like(x)
-        reference_steps.follow(x, counts, 1.5, 1.0, 0.1 * spacing, want)
-        got = offsets(x[:, :, None], spacing)[:, :, 0]
-        np.testing.assert_array_equal(got, want)
+        followed(residuals(kind, rng), spacing)
 
 
 def test_a_step_behind_a_gap_of_any_length_equals_the_reference():
     rng, found, met = np.random.default_rng(7), step_detector.config(1.0)[0], set()
-    counts = np.array([found["before"], found["after"], found["settled"]])
     for gap in range(2 * found["settled"] + found["before"]):
-        x = 50.0 + 0.25 * rng.standard_normal((250, 1))
+        x = 50.0 + 0.25 * rng.standard_normal(250)
         x[100:] += 3.0
         x[100 : 100 + gap] = np.nan
-        want = np.zeros_like(x)
-        reference_steps.follow(x, counts, 1.5, 1.0, 0.1, want)
-        np.testing.assert_array_equal(offsets(x[:, :, None], 1.0)[:, :, 0], want)
-        met.add(bool(want[-1, 0]))
+        met.add(bool(followed(x)[-1]))
     assert met == {False, True}
 
 
@@ -120,15 +119,11 @@ def test_a_step_behind_a_gap_of_any_length_equals_the_reference():
 )
 def test_exactly_on_a_limit_it_equals_the_reference(then, later, offset):
     """A step of 1.5 K is none, nor is one that settles at 0.8 of it; an offset of 1 K is one."""
-    found, x = step_detector.config(1.0)[0], np.zeros((300, 1))
+    x = np.zeros(300)
     x[100:105], x[105:] = then, later
     if offset:
         x[105:200] = then
-    want = np.zeros_like(x)
-    counts = np.array([found["before"], found["after"], found["settled"]])
-    reference_steps.follow(x, counts, 1.5, 1.0, 0.1, want)
-    np.testing.assert_array_equal(offsets(x[:, :, None], 1.0)[:, :, 0], want)
-    assert want[-1, 0] == offset
+    assert followed(x)[-1] == offset
 
 
 def test_behind_the_last_sample_nothing_is_written():

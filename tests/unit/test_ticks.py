@@ -1,5 +1,7 @@
 """Several ticks in a call are those ticks one by one: the same frames, the same state."""
 
+from functools import reduce
+
 import numpy as np
 import pytest
 from _traction_core import lib
@@ -42,10 +44,12 @@ def stormy(honest, seed, ticks, between):
         other = lambda tick=tick: honest.elsewhere(tick)  # noqa: E731
         blocks.append(bus.carry(honest.sent(tick), other, tick, tick * TICK).block)
     del blocks[: FIRST - 1]
-    whole = EMPTY
-    for block in blocks:
-        whole = join(whole, block)
-    return blocks, whole, np.cumsum([block.size for block in blocks])
+    return blocks, *joined(blocks)
+
+
+def joined(blocks):
+    """All of them as one, and where each ends in it."""
+    return reduce(join, blocks, EMPTY), np.cumsum([block.size for block in blocks])
 
 
 def flags(gateway):
@@ -212,10 +216,7 @@ def test_an_intruder_and_a_heartbeat_that_stops_are_the_same_either_way(on_intru
         blocks[k] = join(blocks[k], block_of([Frame((k + FIRST) * TICK, own, bytes(8))])).ordered()
     for k in range(300, 900 - FIRST):
         blocks[k] = blocks[k].pick(blocks[k].can_id != 0x700 + NODES[1])
-    whole = EMPTY
-    for block in blocks:
-        whole = join(whole, block)
-    ends = np.cumsum([block.size for block in blocks])
+    whole, ends = joined(blocks)
     config = config_of()
     config = config.model_copy(
         update={"bus": config.bus.model_copy(update={"on_intruder": on_intruder})}
@@ -263,9 +264,7 @@ def test_frames_out_of_order_are_put_in_order():
     """In one tick of many: that one is done singly."""
     blocks, _, ends = stormy(train(), 1, 300, 1e9)
     turned = [b.pick(np.arange(b.size)[::-1]) if k % 50 == 20 else b for k, b in enumerate(blocks)]
-    whole = EMPTY
-    for block in turned:
-        whole = join(whole, block)
+    whole, _ = joined(turned)
     right, wrong = (Gateway(config_of(), train().codec, 0) for _ in range(2))
     assert together(wrong, whole, ends) == singly(right, blocks)
     assert state(wrong) == state(right)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from dbc.codec import bind
-from gateway.cli import main
 from gateway.commands import evaluate as verb
 from gateway.settings.config import parse
 from gateway.study import roller_world
@@ -39,25 +38,22 @@ def test_loss_in_a_train_of_held_speed_is_found_without_commands():
     assert (flags.losses, flags.missed, flags.alarms) == (2, 0, 0)
 
 
-def test_family_of_another_world_is_refused_and_the_known_are_listed(capsys):
-    assert main(["evaluate", "--world", "held", "--family", "crawl"]) == 2
-    assert "one_mute" in capsys.readouterr().err
+def test_family_of_another_world_is_refused_and_the_known_are_listed(refused):
+    assert "one_mute" in refused("evaluate", "--world", "held", "--family", "crawl")
 
 
 @pytest.mark.parametrize(
     ("words", "known"), [(["thermal", "--world", "held"], "ours, other"),
                          (["--world", "other"], "ours, ours_held, held, motulator, roller")],
 )  # fmt: skip
-def test_a_world_of_the_other_side_is_refused(words, known, capsys):
-    assert main(["evaluate", *words, "--seeds", "0-0"]) == 2
-    assert f"known: {known}" in capsys.readouterr().err
+def test_a_world_of_the_other_side_is_refused(words, known, refused):
+    assert f"known: {known}" in refused("evaluate", *words, "--seeds", "0-0")
 
 
-def test_without_motulator_it_says_what_to_install(monkeypatch, capsys):
+def test_without_motulator_it_says_what_to_install(monkeypatch, refused):
     monkeypatch.setattr("gateway.io.extras.find_spec", lambda _name: None)
     words = ["evaluate", "--world", "motulator", "--seeds", "0-0", "--family", "one"]
-    assert main([*words, "--detector", "switching"]) == 2
-    assert "--world motulator: needs motulator" in capsys.readouterr().err
+    assert "--world motulator: needs motulator" in refused(*words, "--detector", "switching")
 
 
 def run_of(duration_s=0.4):

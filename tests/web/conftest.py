@@ -9,8 +9,6 @@ from contextlib import ExitStack, contextmanager
 import pytest
 from playwright.sync_api import sync_playwright
 
-from tests.monitored import recorded, write
-
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 DESK, PHONE = (1366, 900), (390, 844)
 
@@ -32,14 +30,6 @@ def browser(request):
         made = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield made
         made.close()
-
-
-@pytest.fixture(scope="session")
-def log(tmp_path_factory):
-    """Three drives and a gateway; the second drive loses adhesion from 1.2 s to 2.0 s."""
-    path = tmp_path_factory.mktemp("log") / "loss.log"
-    write(path, recorded().frames)
-    return path
 
 
 @contextmanager

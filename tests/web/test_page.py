@@ -11,7 +11,8 @@ from playwright.sync_api import expect
 from gateway.monitor.feed import Feed
 from gateway.monitor.log_source import LogSource
 from gateway.monitor.model.snapshot import Event, as_json
-from tests.monitored import SECONDS, recorded, write
+from tests.monitored import SECONDS, recorded
+from tests.simrun import log_of
 from tests.watched import FakeSource, server_of, snapshot, until
 from tests.web.conftest import DESK, PHONE, monitor
 
@@ -320,8 +321,7 @@ def test_it_finds_the_monitor_again(opened):
 
 
 def test_a_bus_without_a_gateway_is_told(opened, tmp_path):
-    path = tmp_path / "drives.log"
-    write(path, recorded().drives)
+    path = log_of(tmp_path / "drives.log", recorded().drives)
     with monitor(path, "--web", "127.0.0.1:0", "--at", "2") as where:
         page = opened(where)
         expect(page.locator("#banner")).to_contain_text("no gateway on this bus")
