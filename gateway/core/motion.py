@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from dbc.records import MOTION, MOTION_MONITOR, Addressed, Columns, Records
+from dbc.records import MOTION, MOTION_MONITOR, Addressed, Records
 from gateway.core import plausibility
 from gateway.core.channel import SAMPLE_NS
+from gateway.core.estimate import Bank
+from gateway.core.inputs import InputMonitor
+from gateway.core.receiving import Receiver
 from gateway.settings.config import Motor
 from gateway.settings.sections import Estimator
 
@@ -52,27 +55,6 @@ class Timebase(NamedTuple):
     speed_step: float
 
 
-class HasRecord(Protocol):
-    """Type of the receiver: `receiving.Receiver`."""
-
-    record: Records
-
-
-class HasStatus(Protocol):
-    """Type of the validity of inputs: `inputs.InputMonitor`."""
-
-    status: Records
-
-
-class HasEstimates(Protocol):
-    """Type of the estimator: `estimate.Bank`."""
-
-    estimates: Records
-    filters: Columns
-    chords: Columns
-    sensors: Columns
-
-
 class MotionMonitor(Addressed):
     """`motion` and `plausibility` of N drives, (N,), as `motions` and `checks`.
 
@@ -84,7 +66,7 @@ class MotionMonitor(Addressed):
 
     def __init__(
         self, motors: Sequence[Motor], config: Estimator, times: Timebase, tick_ns: Nanos,
-        current_step_a: float, receiver: HasRecord, inputs: HasStatus, bank: HasEstimates,
+        current_step_a: float, receiver: Receiver, inputs: InputMonitor, bank: Bank,
         rotors: Records,
     ) -> None:  # fmt: skip
         """Noise is that of the configuration, per unit of each motor's rated torque.

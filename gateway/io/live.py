@@ -14,16 +14,17 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from dbc.frame import Frame, Nanos
-from dbc.frames import Block
-from gateway.core.integrity import IntegrityMonitor
 from gateway.io.canopen_node import CanopenNode, meant
 from gateway.io.endings import Ended
 from gateway.io.realtime import Ticker
 from gateway.io.timing import Timing
 from gateway.io.transport import LinkState, SendResult, Status, Transport
+
+if TYPE_CHECKING:
+    from gateway.core.gateway import Gateway
 
 log = logging.getLogger(__name__)
 
@@ -40,27 +41,6 @@ OLDEST = 2
 deciding and sending, and the next step has newer values. A tick that only starts late does send."""
 TIMING_TICKS = 100
 """Ticks between two reports of timing to the core."""
-
-
-class Core(Protocol):
-    """The part of `gateway.core.gateway.Gateway` that the loop uses."""
-
-    @property
-    def decided_ns(self) -> Nanos | None:
-        """Stamp of the newest sample that the last step's flags rest on; None before any."""
-
-    def step(self, frames: Block, now_ns: Nanos, /) -> list[Frame]:
-        """One tick."""
-
-    @property
-    def integrity(self) -> IntegrityMonitor:
-        """Counts missed ticks and lost frames, which are reported to it before a step."""
-
-    def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
-        """Take the latency from frame to flag and the lateness of ticks: 99th percentiles, us."""
-
-    def unknown_frames(self, now_ns: Nanos, /) -> list[Frame]:
-        """Flag frames in which every flag is unknown."""
 
 
 @dataclass(slots=True)
@@ -117,7 +97,7 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
 
 
 def run_live(
-    gateway: Core,
+    gateway: Gateway,
     transport: Transport,
     node: CanopenNode,
     ticker: Ticker,
@@ -146,7 +126,7 @@ def run_live(
 
 
 def _loop(
-    gateway: Core,
+    gateway: Gateway,
     transport: Transport,
     node: CanopenNode,
     ticker: Ticker,
@@ -206,7 +186,7 @@ def _loop(
     return seen
 
 
-def _farewell(gateway: Core, transport: Transport, ticker: Ticker) -> None:
+def _farewell(gateway: Gateway, transport: Transport, ticker: Ticker) -> None:
     """Send unknown flags three times, a tick apart, so that no receiver keeps the last flags."""
     for _ in range(FAREWELL):
         tick = ticker.wait()
