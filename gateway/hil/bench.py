@@ -58,7 +58,7 @@ def touched_drives(scenario: Scenario) -> set[int]:
 
 
 def both_sides(
-    key: bytes | None, trip: int = 1
+    key: bytes | None,
 ) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
     """Sender, and a factory of drives' receivers that accept no freshness before its first."""
     if key is None:
@@ -66,7 +66,7 @@ def both_sides(
     from dbc.secoc_receiver import Verifier
     from dbc.secoc_sender import Authenticator
 
-    sender = Authenticator(key, trip)
+    sender = Authenticator(key, 1)
     return sender, partial(Verifier, key, sender.freshness)
 
 

@@ -11,7 +11,7 @@ import logging
 import signal
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -115,7 +115,9 @@ def run_live(
     core raises (a programming error, which is passed on to the caller).
     """
     stop = stop or Stop()
-    with _signals(stop), frozen_garbage():
+    # In another thread the caller ends the loop by `stop`.
+    in_main = threading.current_thread() is threading.main_thread()
+    with stop_on_signals(stop) if in_main else nullcontext(), frozen_garbage():
         try:
             return _loop(gateway, transport, node, ticker, stop, errors, on_tick)
         finally:
@@ -197,16 +199,6 @@ def _farewell(gateway: Gateway, transport: Transport, ticker: Ticker) -> None:
 def _say_link(status: Status) -> None:
     level = logging.INFO if status.state is LinkState.UP else logging.WARNING
     log.log(level, "bus is %s%s", status.state, f": {status.note}" if status.note else "")
-
-
-@contextmanager
-def _signals(stop: Stop) -> Iterator[None]:
-    """Handle signals in the main thread; in another thread the caller ends the loop by `stop`."""
-    if threading.current_thread() is threading.main_thread():
-        with stop_on_signals(stop):
-            yield
-    else:
-        yield
 
 
 @contextmanager

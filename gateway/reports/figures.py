@@ -193,11 +193,14 @@ def strips(axis: Axes, names: Sequence[str]) -> None:
     axis.spines["left"].set_visible(False)
 
 
-def truth_bars(axis: Axes, row: int, spans: Iterable[Span]) -> None:
+def truth_bars(
+    axis: Axes, row: int, spans: Iterable[Span], high: float = 0.6, color: str = "#bbbbbb"
+) -> None:
     """Draw the true intervals in a row of strips, with black outlines."""
     bars = [(s.start_s, max(s.end_s - s.start_s, 1e-9)) for s in spans]
     if bars:
-        axis.broken_barh(bars, (row - 0.3, 0.6), facecolor="#bbbbbb", edgecolor="black", lw=0.5)
+        box = (row - 0.5 * high, high)
+        axis.broken_barh(bars, box, facecolor=color, edgecolor="black", lw=0.5)
 
 
 def key(good: str = "good", bad: str = "bad", *, truth: bool = False) -> list[Any]:
