@@ -28,6 +28,7 @@ from dbc.logs.blf_objects import (
 )
 from dbc.logs.format import FD_SIZES
 from gateway.logfiles.channels import ChannelNumbers
+from gateway.logfiles.frames import without
 
 _HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000
 _STAMP: Final = struct.Struct("<LHHQ")
@@ -63,10 +64,7 @@ class BlfFile:
         if self._first_ns is None:
             self._first_ns = block.t_ns.item(0)
             self._start_ns = self._first_ns // _MS * _MS
-        early = block.t_ns < self._first_ns
-        if early.any():
-            self.left_out["before_the_first"] += int(np.count_nonzero(early))
-            block = block.pick(~early)
+        block = without(block, block.t_ns < self._first_ns, self.left_out, "before_the_first")
         self._last_ns = max(self._last_ns, int(block.t_ns.max(initial=0)))
         self.written += block.size
         lost = block.flags & (ERROR | TX) == ERROR | TX

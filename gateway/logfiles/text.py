@@ -21,22 +21,12 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX, Nanos
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import FD_SIZES
 from gateway.logfiles.channels import ChannelNumbers
+from gateway.logfiles.frames import without
 
 _DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 _MONTHS: Final = (
-    "Jan",
-    "Feb",
-    "Mar",
-    "Apr",
-    "May",
-    "Jun",
-    "Jul",
-    "Aug",
-    "Sep",
-    "Oct",
-    "Nov",
-    "Dec",
-)
+    "Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec",
+)  # fmt: skip
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _EPOCH_DAYS: Final = 25_569
 """Day number of 1 January 1970 in TRC, which counts days from 30 December 1899."""
@@ -136,20 +126,15 @@ class TextFile:
     def _representable(self, block: Block) -> Block:
         """The frames that the format can hold; the others are counted."""
         for flag, name in ((FD, "fd"), (REMOTE, "remote"), (ERROR, "error")):
-            out = block.flags & flag & self.not_held != 0
-            if out.any():
-                self.left_out[name] += int(np.count_nonzero(out))
-                block = block.pick(~out)
+            block = without(block, block.flags & flag & self.not_held != 0, self.left_out, name)
         if not block.size:
             return block
         if self._first_ns is None:
             self._first_ns = block.t_ns.item(0)
             self._file.write("".join(self._head(self._first_ns)))
-        early = block.t_ns < self._first_ns
-        if self.counts_from_first and early.any():
-            self.left_out["before_the_first"] += int(np.count_nonzero(early))
-            block = block.pick(~early)
-        return block
+        if not self.counts_from_first:
+            return block
+        return without(block, block.t_ns < self._first_ns, self.left_out, "before_the_first")
 
     def _count_reduced(self, block: Block) -> None:
         """Count the written frames of which a property is not kept."""
