@@ -131,11 +131,6 @@ class Simulation:
             wire.look_again()
 
     @property
-    def overwritten(self) -> int:
-        """Frames that were never sent because their successor came first."""
-        return self._arbiter.overwritten
-
-    @property
     def verifiers(self) -> dict[int, Verifier]:
         """Each drive's receiver of authenticated flags, by node; empty without authentication."""
         return {e.node: e.verifier for e in self._ecus if e.verifier is not None}

@@ -50,7 +50,7 @@ _NAMED: Final = re.compile(
 _DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
 _SHAPE: Final = shape_of(SECOND, 0, 5, "d", 3)
 """Channel, identifier, direction, `d`, length."""
-_RTR, _EDL, _BRS, _ESI = 0x10, 0x1000, 0x2000, 0x4000
+_RTR, _EDL = 0x10, 0x1000
 """Bits in the flags of a CANFD line."""
 
 

@@ -40,7 +40,6 @@ CRAWLS: Final = 1.5
 """Times the least observable speed: below it the load comes from `Motion`, if there is one."""
 
 Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 
 class Timebase(NamedTuple):
@@ -58,10 +57,9 @@ class Timebase(NamedTuple):
 class MotionMonitor(Addressed):
     """`motion` and `plausibility` of N drives, (N,), as `motions` and `checks`.
 
-    implausible (N,): drives whose input is implausible. A copy is a monitor of its own.
+    A copy is a monitor of its own.
     """
 
-    implausible: Bytes
     pointer: Any
 
     def __init__(
@@ -106,7 +104,6 @@ class MotionMonitor(Addressed):
         }  # fmt: skip
         for name, array in arrays.items():
             self.record[name] = array.ctypes.data
-        self.implausible = self.motions["implausible"]
         self.pointer = ffi.from_buffer("struct motion_monitor *", self.record)
 
 
