@@ -176,11 +176,8 @@ class Asc(Format):
         if words[0].upper() == "CANFD" and words[1].isdecimal():
             return self._fd(t_ns, words)
         if not words[0].isdecimal():
-            return Line(
-                Verdict.EVENT if words[0][0].isalpha() or words[0][0] == "_" else Verdict.MALFORMED,
-                None,
-                t_ns,
-            )
+            event = words[0][0].isalpha() or words[0][0] == "_"
+            return Line(Verdict.EVENT if event else Verdict.MALFORMED, None, t_ns)
         channel = _channel(words[0])
         if words[1].lower().startswith("errorframe"):
             return framed(Head(0, ERROR, 0, channel), t_ns, sure=True)
