@@ -278,14 +278,7 @@ def flatten(q: Params, preset: Params, phi: float) -> Params:
     )
 
 
-def infer_reusing(
-    x: Array,
-    preset: Params,
-    phi: float,
-    *,
-    sweeps: int = paper.SWEEPS,
-    tolerance: float | None = None,
-) -> Posterior:
+def infer_reusing(x: Array, preset: Params, phi: float) -> Posterior:
     """`infer` tick after tick, each prior flattened from the tick before; shapes as `infer`.
 
     Sequential: T ticks are T calls.
@@ -295,7 +288,7 @@ def infer_reusing(
     for t in range(len(x)):
         now = Params(*(a[t : t + 1] for a in preset))
         prior = now if last is None else flatten(last, now, phi)
-        part = infer_tick(x[t : t + 1], prior, sweeps=sweeps, tolerance=tolerance)
+        part = infer_tick(x[t : t + 1], prior)
         last = part.q
         parts.append(part)
     return Posterior(
