@@ -28,7 +28,7 @@ from dbc.e2e import protect
 from dbc.frame import MS, SECOND, Frame
 from gateway.core.gateway import Gateway
 from gateway.core.supervision import Supervision
-from gateway.io.kernel import Kernel, Link, RawSocket
+from gateway.io.kernel import Kernel, Link
 from gateway.io.live import frozen_garbage
 from gateway.io.realtime import Ticker
 from gateway.io.scheduling import be_ordinary, be_realtime
@@ -58,11 +58,11 @@ class Pair(Kernel):
         self.ours.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE)
 
-    def connect(self, channel: str, fd: bool, first: bool = False) -> RawSocket:  # noqa: ARG002
+    def connect(self, channel: str, fd: bool, first: bool = False) -> socket.socket:  # noqa: ARG002
         """Our end."""
         return self.ours
 
-    def look(self, raw: RawSocket, channel: str) -> Link:  # noqa: ARG002
+    def look(self, raw: socket.socket, channel: str) -> Link:  # noqa: ARG002
         """Always up."""
         return Link(1, up=True, mtu=72)
 

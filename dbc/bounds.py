@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BaseModel, ConfigDict
 
 LONGEST: Final = 24
 """Most characters of a number that a message quotes."""
@@ -33,6 +33,12 @@ class Within:
     def __str__(self) -> str:
         """Return the range as in `0.01 to 100 ohm`."""
         return f"{_plain(self.low)} to {_plain(self.high)} {self.unit}".rstrip()
+
+
+class Strict(BaseModel):
+    """Part of a file that a person writes: unknown keys are refused, values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def within(low: float, high: float, unit: str, cure: str) -> AfterValidator:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dbc.entries import Entries, text_of
 from dbc.entry_text import Entry
+from dbc.load_errors import SYNTAX, one_line, quiet
 from dbc.spec import DbcMismatch
 
 if TYPE_CHECKING:
     from cantools.database import Database
 
-_SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
 _MOST_LOADS: Final = 100
 """Most loads to find well-formed entries that cantools rejects; each of them needs several."""
 _MEANING: Final = frozenset({"VERSION", "BS_", "BU_", "BO_", "SG_", "SIG_VALTYPE_", "SG_MUL_VAL_"})
@@ -25,21 +23,11 @@ _SHOWN: Final = 40
 
 def load_rest(path: Path, entries: Entries) -> Database:
     """Load with cantools; entries that it rejects are left out. Raises DbcMismatch."""
-    quiet = logging.getLogger("cantools.database.can.database")
-    before = quiet.level
-    quiet.setLevel(logging.ERROR)
-    try:
-        return _load_rest(path, entries)
-    finally:
-        quiet.setLevel(before)
-
-
-def _load_rest(path: Path, entries: Entries) -> Database:
     found = _load(entries.entries)
     if not isinstance(found, str):
         return found
     first = found
-    if _SYNTAX.search(found):
+    if SYNTAX.search(found):
         entries.drop(_malformed(entries.entries))
     for _ in range(_MOST_LOADS // (len(entries.entries).bit_length() + 1)):
         found = _load(entries.entries)
@@ -64,9 +52,12 @@ def _load(entries: Sequence[Entry]) -> Database | str:
     from cantools.database.errors import Error
 
     try:
-        return load_string(text_of(entries), "dbc", strict=False)  # type: ignore[return-value]
+        with quiet():
+            return load_string(  # type: ignore[return-value]
+                text_of(entries), "dbc", strict=False
+            )
     except Error as error:
-        return " ".join(str(error).split()).removeprefix("DBC: ").strip('"')
+        return one_line(error)
     except Exception as error:  # cantools lets bare KeyErrors and others escape
         return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
@@ -83,7 +74,7 @@ def _malformed(entries: Sequence[Entry]) -> list[tuple[Entry, str]]:
         part = parts.pop()
         # cantools reads a signal only inside a message.
         fault = _load([_MESSAGE, *part] if part[0].keyword == "SG_" else part)
-        place = _SYNTAX.search(fault) if isinstance(fault, str) else None
+        place = SYNTAX.search(fault) if isinstance(fault, str) else None
         if place is None:
             continue
         if len(part) == 1:

@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 from functools import lru_cache
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.frame import FD, Nanos
+from dbc.frame import FD
 from dbc.records import E2E_CONFIG, E2E_STATE, Records
+
+if TYPE_CHECKING:
+    from dbc.spec import MessageSpec
 
 MAX_DELTA: Final[int] = lib.E2E_MAX_DELTA
 """Largest counter step accepted between two frames: up to two frames may be lost in a row."""
@@ -56,31 +59,7 @@ class SmState(IntEnum):
     INVALID = lib.E2E_SM_INVALID
 
 
-class Protected(Protocol):
-    """Anything with a protection profile and data ids, above all `MessageSpec`."""
-
-    @property
-    def profile(self) -> Profile:
-        """The protection profile."""
-
-    @property
-    def data_ids(self) -> bytes:
-        """P02: 16 bytes, indexed by the counter. P05: the id, two bytes, big endian."""
-
-
-class ProtectedFrame(Protected, Protocol):
-    """A protected message whose frames all have the same length."""
-
-    @property
-    def length(self) -> int:
-        """Length of a frame in bytes."""
-
-    @property
-    def is_fd(self) -> bool:
-        """Whether its frames are CAN FD."""
-
-
-def configs(specs: Sequence[ProtectedFrame]) -> Records:
+def configs(specs: Sequence[MessageSpec]) -> Records:
     """Protection of these messages, (N,) of `struct e2e_config`."""
     found = np.zeros(len(specs), E2E_CONFIG)
     for row, spec in zip(found, specs, strict=True):
@@ -106,7 +85,7 @@ def _config(profile: Profile, data_ids: bytes, length: int) -> Any:
     return ffi.new("struct e2e_config *", given)
 
 
-def protect(spec: Protected, payload: bytearray, counter: int) -> None:
+def protect(spec: MessageSpec, payload: bytearray, counter: int) -> None:
     """Write counter (modulo its width) and checksum into the header, in place.
 
     Raises ValueError for a payload shorter than the header.
@@ -118,13 +97,13 @@ def protect(spec: Protected, payload: bytearray, counter: int) -> None:
     lib.e2e_protect(config, ffi.from_buffer("uint8_t[]", payload), counter & 0xFF)
 
 
-def crc_ok(spec: Protected, data: bytes | bytearray) -> bool:
+def crc_ok(spec: MessageSpec, data: bytes | bytearray) -> bool:
     """Whether the checksum fits; False for data shorter than the header, True without one."""
     config = _config(spec.profile, spec.data_ids, len(data))
     return bool(lib.e2e_crc_fits(config, ffi.from_buffer("uint8_t[]", data)))
 
 
-def counter_of(spec: Protected, data: bytes | bytearray) -> int | None:
+def counter_of(spec: MessageSpec, data: bytes | bytearray) -> int | None:
     """Counter of a frame; None if it is not protected or its data are too short."""
     profile = spec.profile
     if profile is Profile.NONE or len(data) < HEADER_BYTES[profile]:
@@ -143,7 +122,7 @@ class Receiver:
 
     __slots__ = ("_data_ids", "_profile", "_state", "counts", "lost")
 
-    def __init__(self, spec: Protected) -> None:
+    def __init__(self, spec: MessageSpec) -> None:
         """Start in NO_DATA with an empty window."""
         self._profile, self._data_ids = spec.profile, spec.data_ids
         self.counts = [0] * len(Check)
@@ -151,11 +130,8 @@ class Receiver:
         self.lost = 0
         self._state = states(1)
 
-    def check(self, data: bytes, t_ns: Nanos = 0) -> Check:  # noqa: ARG002 - see docstring
-        """Check one frame. Never raises, whatever the bytes are.
-
-        `t_ns` is not used: this check looks at the counter only; the caller checks ages.
-        """
+    def check(self, data: bytes) -> Check:
+        """Check one frame's counter, not its age. Never raises, whatever the bytes are."""
         config = _config(self._profile, self._data_ids, len(data))
         frame = ffi.from_buffer("uint8_t[]", data)
         found = lib.e2e_check(config, ffi.from_buffer("struct e2e_state *", self._state), frame)

@@ -13,9 +13,6 @@ from _traction_core import lib
 Nanos = int
 """Integer nanoseconds. Floats lose 238 ns at today's epoch, so they never carry time here."""
 
-DriveId = int
-"""CANopen node number of a drive, 1..16; the `n` of `Drive{n}_...`."""
-
 EXTENDED: Final[int] = lib.FRAME_EXTENDED
 REMOTE: Final[int] = lib.FRAME_REMOTE
 ERROR: Final[int] = lib.FRAME_ERROR

@@ -6,7 +6,6 @@ names and ids) or reports one at a time (layout). Nothing here is used after sta
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from dbc.compare import compare
 from dbc.contract import Contract
 from dbc.generate import recall
 from dbc.layout import duplicates, layout_faults, oversized
-from dbc.load_errors import explained, placed
+from dbc.load_errors import explained, one_line, placed, quiet
 from dbc.message_spec import is_long, message_spec
 from dbc.spec import DbcMismatch, MessageSpec
 from dbc.text import decoded, read_bytes
@@ -41,25 +40,14 @@ def load(path: Path, *, strict: bool = True) -> Database:
         raise DbcMismatch(path, [f"cannot be read: {reason}"]) from None
     if impossible:
         raise DbcMismatch(path, impossible)
-    quiet = logging.getLogger("cantools.database.can.database")
-    before = quiet.level
-    # cantools only logs duplicates; `dbc.layout` lists them properly.
-    quiet.setLevel(logging.ERROR)
     try:
-        database = load_string(decoded(text), "dbc", strict=strict)
+        with quiet():
+            return load_string(decoded(text), "dbc", strict=strict)  # type: ignore[return-value]
     except Error as error:
-        raise DbcMismatch(path, explained(_one_line(error), text)) from None
+        raise DbcMismatch(path, explained(one_line(error), text)) from None
     except Exception as error:  # cantools lets bare KeyErrors and others escape
-        why = f"cannot be read as a DBC: {type(error).__name__}: {_one_line(error)}"
+        why = f"cannot be read as a DBC: {type(error).__name__}: {one_line(error)}"
         raise DbcMismatch(path, [why]) from None
-    finally:
-        quiet.setLevel(before)
-    return database  # type: ignore[return-value]
-
-
-def _one_line(error: Exception) -> str:
-    text = " ".join(str(error).split()).removeprefix("DBC: ")
-    return text.strip('"') or type(error).__name__
 
 
 def specs_of(

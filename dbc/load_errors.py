@@ -6,11 +6,13 @@ in foreign files and have a sure cure; for any other syntax error the line is re
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final
 
-_SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
+SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
 _UNUSED: Final = re.compile(r"VAL_ (\d+) (\w+)")
 _MESSAGE: Final = re.compile(rb"\s*BO_\s+\d+\s")
 _NAMED: Final = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:")
@@ -19,12 +21,30 @@ _PLACE: Final = re.compile(r"(\w+)(?:\.(\w+))?: ")
 _NODES: Final = re.compile(rb"^\s*BU_\s*:", re.MULTILINE)
 
 
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Hide the warnings of cantools, which only logs duplicates; `dbc.layout` lists them."""
+    logger = logging.getLogger("cantools.database.can.database")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def one_line(error: Exception) -> str:
+    """Message of an error of cantools, in one line; the error's name if it has none."""
+    text = " ".join(str(error).split()).removeprefix("DBC: ")
+    return text.strip('"') or type(error).__name__
+
+
 def explained(message: str, text: bytes) -> list[str]:
     """Problems with their cures, one a line, from the one-line `message` of cantools for a file."""
     lines = text.splitlines()
     if message.startswith("unused VAL_ entries"):
         return list(_unused(message, lines)) or [message]
-    if match := _SYNTAX.match(message):
+    if match := SYNTAX.match(message):
         number = int(match[1])
         if 1 <= number <= len(lines) and _MESSAGE.match(lines[number - 1]):
             before = b"\n".join(lines[: number - 1])

@@ -63,10 +63,9 @@ def measured(
     return replace(plain, **kw)  # type: ignore[arg-type]
 
 
-def counted(name: str, start: int, length: int, comment: str, unit: str = "") -> Field:
+def counted(name: str, start: int, length: int, comment: str) -> Field:
     """A count: starts at 0 and saturates one below the not-available code."""
-    scale = "10" if unit == "us" else "1"
-    return measured(name, start, length, comment, unit, scale, start_raw=0)
+    return measured(name, start, length, comment, "", "1", start_raw=0)
 
 
 def plain(name: str, start: int, length: int, comment: str, high: int | None = None) -> Field:

@@ -132,7 +132,7 @@ class Ecu:
             return
         if len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
             return
-        verdict = receiver.check(frame.data, frame.t_ns)
+        verdict = receiver.check(frame.data)
         state = receiver.cycle(verdict)
         if verdict in (Check.OK, Check.OK_SOME_LOST) and state is SmState.VALID:
             self._flag = int.from_bytes(frame.data, "little") >> self._shift & 3

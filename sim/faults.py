@@ -5,6 +5,7 @@ May know: scenarios. May not know: bits, buses, clocks.
 
 from __future__ import annotations
 
+from bisect import insort
 from typing import Final
 
 import numpy as np
@@ -45,7 +46,7 @@ class Schedule:
     """The events of a scenario, asked by time. Drives are counted from 0 here."""
 
     def __init__(self, scenario: Scenario, motor: Motor) -> None:
-        """Sorted once; later events of a kind win over earlier ones on the same drive."""
+        """Later events of a kind win over earlier ones on the same drive."""
         self._scenario = scenario
         self._n = scenario.drives
         self._start_rail = rail(scenario.load.rail)
@@ -53,9 +54,8 @@ class Schedule:
         self._scale = motor.T_rated / 30.0
         self._rated_nm = motor.T_rated
         self._by_kind: dict[str, list[tuple[Event, list[int]]]] = {}
-        for event in sorted(scenario.event, key=lambda e: e.at_s):
-            who = [d - 1 for d in scenario.drives_of(event.drive)]
-            self._by_kind.setdefault(event.kind, []).append((event, who))
+        for event in scenario.event:
+            self.add(event)
 
     def add(self, event: Event) -> None:
         """Add an event, in order of time. Raises ValueError for a drive that does not exist."""
@@ -63,9 +63,9 @@ class Schedule:
         if not all(0 <= d < self._n for d in who):
             msg = f"drive {event.drive} is not one of the {self._n} drives"
             raise ValueError(msg)
-        events = self._by_kind.setdefault(event.kind, [])
-        events.append((event, who))
-        events.sort(key=lambda item: item[0].at_s)
+        insort(
+            self._by_kind.setdefault(event.kind, []), (event, who), key=lambda item: item[0].at_s
+        )
 
     def _active(self, kind: str, t_s: float) -> list[tuple[Event, list[int]]]:
         return [(e, d) for e, d in self._by_kind.get(kind, ()) if e.at_s <= t_s < e.end_s]
@@ -165,16 +165,12 @@ class Schedule:
         bias = np.zeros(self._n)
         stuck = np.zeros(self._n, np.bool_)
         lost = np.zeros(self._n, np.bool_)
-        for kind in ("sensor_bias", "sensor_stuck", "sensor_lost"):
+        for event, who in self._active("sensor_bias", t_s):
+            if event.sensor == "current":
+                bias[who] += event.number
+        for kind, out in (("sensor_stuck", stuck), ("sensor_lost", lost)):
             for event, who in self._active(kind, t_s):
-                if event.sensor != "current":
-                    continue
-                if kind == "sensor_bias":
-                    bias[who] += event.number
-                elif kind == "sensor_stuck":
-                    stuck[who] = True
-                else:
-                    lost[who] = True
+                out[who] |= event.sensor == "current"
         return bias, stuck, lost
 
     @property

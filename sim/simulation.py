@@ -131,11 +131,6 @@ class Simulation:
             wire.look_again()
 
     @property
-    def overwritten(self) -> int:
-        """Frames that were never sent because their successor came first."""
-        return self._arbiter.overwritten
-
-    @property
     def verifiers(self) -> dict[int, Verifier]:
         """Each drive's receiver of authenticated flags, by node; empty without authentication."""
         return {e.node: e.verifier for e in self._ecus if e.verifier is not None}
@@ -337,6 +332,12 @@ def _seconds(t_ns: NDArray[np.int64]) -> Array:
     return np.asarray(t_ns * 1e-9, dtype=np.float64)
 
 
+def start_angles(scenario: Scenario) -> NDArray[np.float64]:
+    """(N,) electrical angles of the rotors at the start, rad, drawn by the scenario's seed."""
+    streams = ([scenario.seed, ANGLE_STREAM, d] for d in range(scenario.drives))
+    return np.array([np.random.default_rng(s).uniform(0.0, 2.0 * math.pi) for s in streams])
+
+
 def _plant(
     scenario: Scenario, motor: Motor, profile: Profile, variety: Variety
 ) -> tuple[Plant | None, QuasiStatic | None]:
@@ -344,12 +345,7 @@ def _plant(
     n = scenario.drives
     w_ref, _, load = profile.at(np.zeros(1))
     fixed = scenario.motion.angle_rad
-    theta = np.array([
-        np.random.default_rng([scenario.seed, ANGLE_STREAM, d]).uniform(0.0, 2.0 * math.pi)
-        if fixed is None
-        else fixed
-        for d in range(n)
-    ])  # fmt: skip
+    theta = start_angles(scenario) if fixed is None else np.full(n, fixed)
     if scenario.traffic == "slow":
         return None, QuasiStatic(motor, theta, load[0])
     rolling = scenario.motion.start == "rolling"

@@ -4,9 +4,9 @@ import struct
 
 import numpy as np
 
-from gateway.io.batch import NATIVE
 from gateway.io.wire import FD_SIZE
 
+NATIVE = struct.calcsize("@l")
 TRUNCATED = 0x20
 """MSG_TRUNC."""
 

@@ -112,8 +112,9 @@ class Stepped(Gateway):
             out[name] = status[theirs]
         for name in OF_ESTIMATE:
             out[name] = estimates[name]
-        out["input_implausible"] = self.motion.implausible
+        out["input_implausible"] = self.motion.motions["implausible"]
         out["sample_ns"] = self.inbox.receiver.drives["sample_ns"]
         out["loss_probability"] = self.adhesion.loss_probability
-        out["loss_known"], out["severe_loss"] = self.adhesion.loss_known, self.adhesion.severe
-        out["may_spin_up"] = self.adhesion.uncertain
+        out["loss_known"] = self.adhesion.loss_known
+        out["severe_loss"] = self.adhesion.loads["severe_loss"]
+        out["may_spin_up"] = self.adhesion.rotors["uncertain"]

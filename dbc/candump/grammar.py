@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from _traction_core import ffi, lib
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, TX, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, SECOND, TX, Frame
 
 MAX_LINE: Final = 8192
 """Most characters of a line (CAN XL needs 4,120); a longer line is skipped without being kept."""
@@ -95,7 +95,7 @@ def parse_line(line: bytes) -> tuple[Verdict, Frame | None]:
     if match is None:
         return _no_frame(text), None
     seconds, fraction, name, body, direction = match.groups()
-    t_ns = int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
+    t_ns = int(seconds) * SECOND + int(fraction) * (1000 if len(fraction) == 6 else 1)
     parts = _BODY.fullmatch(body)
     if parts is None:
         return Verdict.XL if _XL.fullmatch(body) else Verdict.MALFORMED, None

@@ -51,7 +51,7 @@ _BYTE: Final = re.compile(r"[0-9A-Fa-f]{1,3}")
 _DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
 _SHAPE: Final = shape_of(SECOND, 0, 5, "d", 3)
 """Channel, identifier, direction, `d`, length."""
-_RTR, _EDL, _BRS, _ESI = 0x10, 0x1000, 0x2000, 0x4000
+_RTR, _EDL = 0x10, 0x1000
 """Bits in the flags of a CANFD line."""
 
 
@@ -172,11 +172,8 @@ class Asc(Format):
         if words[0].upper() == "CANFD" and words[1].isdecimal():
             return self._fd(t_ns, words)
         if not words[0].isdecimal():
-            return Line(
-                Verdict.EVENT if words[0][0].isalpha() or words[0][0] == "_" else Verdict.MALFORMED,
-                None,
-                t_ns,
-            )
+            event = words[0][0].isalpha() or words[0][0] == "_"
+            return Line(Verdict.EVENT if event else Verdict.MALFORMED, None, t_ns)
         channel = _channel(words[0])
         if words[1].lower().startswith("errorframe"):
             return framed(Head(0, ERROR, 0, channel), t_ns, sure=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Final
 
 _MONTHS: Final = {
@@ -65,6 +65,4 @@ def _day_of(text: str) -> tuple[int, int, int] | None:
 
 def nanoseconds_between(first: datetime, later: datetime) -> int:
     """Time from `first` to `later` in nanoseconds, at least 0."""
-    span = later - first
-    us = (span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds
-    return max(us, 0) * 1000
+    return max((later - first) // timedelta(microseconds=1), 0) * 1000

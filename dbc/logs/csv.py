@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
-from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, nanoseconds
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, LATEST_NS, Format, Head, Line, nanoseconds
 from dbc.logs.times import date_ns, logger_ns
 
 _NAMES: Final = {
@@ -57,7 +57,6 @@ _SECONDS: Final = re.compile(r"-?\d+\.\d*|\d{10}")
 _BAD_TIMES: Final = 100
 """Most unreadable times that are kept for error messages."""
 NO_DATE: Final = "stamps name a day but no month: it is taken for January 1970"
-_LATEST_NS: Final = 9_000_000_000_000_000_000
 
 
 class _Columns(NamedTuple):
@@ -159,7 +158,7 @@ class Csv(Format):
             exact = Decimal(text) * unit_ns
         except InvalidOperation:
             return self._date_ns(text)
-        if not abs(exact) <= _LATEST_NS:
+        if not abs(exact) <= LATEST_NS:
             raise ValueError(text)
         return int(exact)
 

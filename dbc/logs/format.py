@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE
+from dbc.frame import ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE, SECOND
 
 _INT64_DIGITS: Final = 19
-_LATEST_NS: Final = 9_000_000_000_000_000_000
+LATEST_NS: Final = 9_000_000_000_000_000_000
+HEADER_LINES: Final = 100
+"""Most lines before the first frame that count as a header, whatever they contain."""
 CLASSIC_BYTES: Final = 8
 MOST_DLC: Final = 15
 FD_SIZES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Number of data bytes by DLC."""
+DLC_OF: Final = {size: code for code, size in enumerate(FD_SIZES)}
 
 
 class Head(NamedTuple):
@@ -65,6 +68,7 @@ class Format:
     """Whether a line may hold further fields of its frame behind the data, such as the id."""
     notes: list[str]
     """Remarks for the user when the log has been read."""
+    _headers = 0
 
     def learn(self, text: str) -> None:
         """Learn the names in these lines; called before `head` for any of them."""
@@ -96,6 +100,13 @@ class Format:
         """Parse a line that is not plain. A line of `changes` may replace `regex`."""
         raise NotImplementedError
 
+    def _unknown(self) -> Line:
+        """A line of unknown form: of the header, before the first frame; else malformed."""
+        if self.began or self._headers >= HEADER_LINES:
+            return Line(Verdict.MALFORMED)
+        self._headers += 1
+        return Line(Verdict.HEADER)
+
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Frame times from the times in consecutive lines; lines not `timed` have a time of 0."""
         del timed
@@ -107,7 +118,7 @@ class Format:
         return ""
 
 
-def nanoseconds(texts: Sequence[str], unit_ns: int = 1_000_000_000) -> NDArray[np.int64]:
+def nanoseconds(texts: Sequence[str], unit_ns: int = SECOND) -> NDArray[np.int64]:
     """Exact nanoseconds of decimal numbers in units of `unit_ns`; fractions of 1 ns are cut.
 
     Raises ValueError for a text that is not a number, or a number that is too large.
@@ -121,7 +132,7 @@ def nanoseconds(texts: Sequence[str], unit_ns: int = 1_000_000_000) -> NDArray[n
         digits = " ".join(texts).replace(".", "").split(" ")
         whole = np.array(list(map(int, digits)), dtype=np.int64)
         scale = 10**decimals
-        if unit_ns % scale == 0 and np.abs(whole).max() <= _LATEST_NS * scale // unit_ns:
+        if unit_ns % scale == 0 and np.abs(whole).max() <= LATEST_NS * scale // unit_ns:
             exact: NDArray[np.int64] = whole * (unit_ns // scale)
             return exact
     return np.array([_exact(text, unit_ns) for text in texts], dtype=np.int64)
@@ -134,7 +145,7 @@ def _exact(text: str, unit_ns: int) -> int:
     if len(digits) > 60 or not digits.isdecimal():
         raise ValueError(text)
     value: int = sign * (int(digits) * unit_ns // 10 ** len(fraction))
-    if abs(value) > _LATEST_NS:
+    if abs(value) > LATEST_NS:
         raise ValueError(text)
     return value
 

@@ -33,8 +33,6 @@ from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, nanoseconds
 from dbc.logs.times import DAY_NS, DayTimes, clock_ns, date_ns
 
-HEADER_LINES: Final = 100
-"""Most lines before the first frame that count as a header, whatever they contain."""
 _FIELD: Final = re.compile(r"\{(\w+)(?::([xd])(\d{1,2})?)?\}")
 _UNITS: Final = {"s": SECOND, "ms": MS, "us": 1000, "ns": 1, "clock": SECOND, "date": SECOND}
 _NUMBER: Final = r"-?\d+(?:\.\d*)?"
@@ -75,7 +73,6 @@ class Pattern(Format):
 
     def __init__(self, pattern: str) -> None:
         """Compile the pattern. Raises PatternError."""
-        self._headers = 0
         self._day_times = DayTimes()
         self._compile(pattern)
 
@@ -177,10 +174,7 @@ class Pattern(Format):
             return Line(Verdict.BLANK)
         if text.startswith(COMMENT):
             return Line(Verdict.COMMENT)
-        if not self.began and self._headers < HEADER_LINES:
-            self._headers += 1
-            return Line(Verdict.HEADER)
-        return Line(Verdict.MALFORMED)
+        return self._unknown()
 
     def explain(self, text: str) -> str:
         """Message with the column from which a line does not match the pattern; else empty."""

@@ -15,8 +15,6 @@ from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
 from dbc.logs.format import Format, Head, Line
 
-HEADER_LINES: Final = 100
-"""Most lines before the first frame that count as a header, whatever they contain."""
 _LINE: Final = re.compile(
     r"^(?:[ \t]*Timestamp:[ \t]*(-?\d+\.\d+)[ \t]+ID:[ \t]*([0-9a-f]{3,8})[ \t]+([XS])"
     r"((?:[ \t]+(?:[RT]x|[ERF]|BS|EI))*)[ \t]+DLC?:[ \t]*(\d{1,2})((?:[ \t]+[0-9a-f]{2})*)"
@@ -33,10 +31,6 @@ class Printed(Format):
     order = (0, 1, 2, 3, 4, 6, 5, 7)
     has_names = True
     """The channel is at the end, so that an unterminated last line may always be incomplete."""
-
-    def __init__(self) -> None:
-        """Start before the first line of a log."""
-        self._headers = 0
 
     def head(self, parts: tuple[str, ...]) -> Head:
         """Head from `id kind flags length channel`."""
@@ -55,7 +49,4 @@ class Printed(Format):
         """Parse a line without a frame, such as those `can_logger` prints before the first one."""
         if not text.strip():
             return Line(Verdict.BLANK)
-        if not self.began and self._headers < HEADER_LINES:
-            self._headers += 1
-            return Line(Verdict.HEADER)
-        return Line(Verdict.MALFORMED)
+        return self._unknown()

@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from dbc.candump.reader import LogError
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX, Frame
 from dbc.logs.format import CLASSIC_BYTES
 from dbc.logs.objects import ObjectReader
 
@@ -69,7 +69,7 @@ def from_message(message: can.Message) -> Frame:
     data = b"" if message.is_remote_frame else bytes(message.data)
     dlc = message.dlc if message.is_remote_frame and message.dlc else -1
     channel = "" if message.channel is None else str(message.channel)
-    t_ns = round(message.timestamp * 1_000_000_000)
+    t_ns = round(message.timestamp * SECOND)
     return Frame(t_ns, message.arbitration_id & 0x1FFF_FFFF, data, flags, channel, dlc)
 
 
@@ -80,7 +80,7 @@ def to_message(frame: Frame) -> can.Message:
     flags = frame.flags
     remote = bool(flags & REMOTE)
     return can.Message(
-        timestamp=frame.t_ns / 1_000_000_000,
+        timestamp=frame.t_ns / SECOND,
         arbitration_id=frame.can_id,
         is_extended_id=bool(flags & EXTENDED),
         is_remote_frame=remote,

@@ -22,8 +22,6 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
 from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, nanoseconds
 from dbc.logs.times import Differences, date_ns
 
-HEADER_LINES: Final = 100
-"""Most lines before the first frame that count as a header, whatever they contain."""
 SINCE_START: Final = "times are since the start of the log (candump -tz); none of them is a date"
 DIFFERENCES: Final = "times are differences (candump -td): they are added up from 0"
 LOCAL: Final = "times are dates without a zone (candump -tA): read as UTC"
@@ -55,7 +53,6 @@ class Screen(Format):
     def __init__(self, lines: Sequence[str] = ()) -> None:
         """lines: the first lines of the log, by which differences are recognised."""
         self.notes: list[str] = []
-        self._headers = 0
         self._from_start = False
         self._differences = Differences() if _are_differences(_stamps_of(lines)) else None
 
@@ -116,10 +113,7 @@ class Screen(Format):
             return Line(verdict, None, _stamp_ns(stamp[1]))
         if DROPS.fullmatch(text.encode("latin-1", "replace")):
             return Line(Verdict.DROPCOUNT)
-        if not self.began and self._headers < HEADER_LINES and not text.startswith("("):
-            self._headers += 1
-            return Line(Verdict.HEADER)
-        return Line(Verdict.MALFORMED)
+        return Line(Verdict.MALFORMED) if text.startswith("(") else self._unknown()
 
 
 def _stamp_ns(text: str) -> int | None:

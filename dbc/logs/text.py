@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem, Reader
-from dbc.frame import EXTENDED, FD
+from dbc.frame import EXTENDED, FD, SECOND
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import (
     CLASSIC_BYTES,
@@ -35,7 +35,6 @@ from dbc.text import printable, without_colours
 
 _RUN: Final = 16
 """Mean length in lines of runs of plain or other lines, below which lines are read one by one."""
-_SECOND: Final = 1_000_000_000
 _HEADS_KEPT: Final = 100_000
 _BLANK: Final = re.compile(r"\n{3,}")
 
@@ -360,8 +359,8 @@ class TextReader(Reader):
         """Shift the times forward if the log begins before 0."""
         if self._shift_ns is None:
             # A log may begin before its trigger, but candump's text, for example, has no sign.
-            seconds = max(-(times.item(0) // _SECOND), 0)
-            self._shift_ns = seconds * _SECOND
+            seconds = max(-(times.item(0) // SECOND), 0)
+            self._shift_ns = seconds * SECOND
             if seconds:
                 self.notes.append(f"times begin before 0: all are moved forward by {seconds} s")
         return times + self._shift_ns if self._shift_ns else times

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dbc.frame import SECOND
 
 _DATE: Final = re.compile(r"(.*?)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?", re.DOTALL)
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 DAY_NS: Final = 86_400 * SECOND
 _CSS: Final = re.compile(
     r"(?:(\d{4})[-/.]?(\d\d)[-/.]?)?(\d\d)T(\d\d)[:.]?(\d\d)[:.]?(\d\d)[:.,]?(\d{3})?"
@@ -46,8 +46,7 @@ def date_ns(text: str) -> int:
 def epoch_ns(moment: datetime) -> int:
     """Nanoseconds since 1970; UTC if the moment has no zone."""
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    span = moment - _EPOCH
-    return (span.days * 86_400 + span.seconds) * SECOND + span.microseconds * 1000
+    return (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
 class DayTimes:
@@ -99,7 +98,7 @@ def logger_ns(text: str, start: datetime | None) -> int:
     year, month, *rest = match.groups()
     day, hour, minute, second, ms = (int(part or 0) for part in rest)
     if year is None:
-        month_start = (start or _EPOCH).replace(day=1, hour=0, minute=0, second=0)
+        month_start = (start or EPOCH).replace(day=1, hour=0, minute=0, second=0)
         if start is not None and day < start.day:
             month_start = (month_start + timedelta(days=31)).replace(day=1)
         year, month = month_start.year, month_start.month

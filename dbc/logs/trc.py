@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, framed, nanoseconds
 from dbc.logs.lines import shape_of
+from dbc.logs.times import DAY_NS
 
-_EPOCH_DAYS: Final = 25_569
+EPOCH_DAYS: Final = 25_569
 """Days from 30 December 1899, the origin of `$STARTTIME`, to 1970."""
 _VERSIONS: Final = {
     "1.0": "O I L D", "1.1": "O T I L D", "1.2": "O B T I L D", "1.3": "O B T I R L D",
@@ -164,9 +165,8 @@ class Trc(Format):
             if key == "FILEVERSION":
                 self._set(value)
             elif key == "STARTTIME":
-                since_1899 = nanoseconds([value.replace(",", ".")], 86_400 * SECOND).item()
-                start_us = round(since_1899 / 1000) - _EPOCH_DAYS * 86_400_000_000
-                self._start_ns = 1000 * start_us
+                since_1899 = nanoseconds([value.replace(",", ".")], DAY_NS).item()
+                self._start_ns = round(since_1899, -3) - EPOCH_DAYS * DAY_NS
             elif key == "COLUMNS":
                 self._set("", [name.strip() for name in value.split(",")][1:])
         except (ValueError, KeyError, OverflowError):

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from estimators._core import pointer
 from estimators.detect import paper
-from estimators.detect.paper import Array, Arrays, Mask, Observe
+from estimators.detect.paper import Array, Arrays, Observe
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
 
@@ -133,12 +133,12 @@ def log_rho(x: Array, q: Params) -> Array:
     return np.asarray(peak[..., None] - 0.5 * square)
 
 
-def responsibilities(rho: Array, weight: Array) -> Array:
-    """(35): [1 - E[I], E[I]] as (T, 2, N), zero for drives of weight (T, N) zero."""
+def responsibilities(rho: Array) -> Array:
+    """(35): [1 - E[I], E[I]] as (T, 2, N)."""
     from scipy.special import expit
 
     z = rho[:, 1] - rho[:, 0]
-    return np.stack([expit(-z), expit(z)], axis=1) * weight[:, None]
+    return np.stack([expit(-z), expit(z)], axis=1)
 
 
 def moments(x: Array, r: Array, m: Array) -> Moments:
@@ -200,10 +200,10 @@ def divergence(q: Params, prior: Params) -> Array:
 
 def _sweep(fixed: Arrays, state: Arrays) -> tuple[Arrays, Array]:
     """Update q(I), then q(pi, mu, Lambda); the bound after each. See `paper.iterate`."""
-    x, weight, *prior_ = fixed
+    x, *prior_ = fixed
     rho, _, *q_ = state
     prior, q = Params(*prior_), Params(*q_)
-    r = responsibilities(rho, weight)
+    r = responsibilities(rho)
     indicated = drives_part(r, rho) - divergence(q, prior)
     q = update(prior, moments(x, r, prior.m))
     rho = log_rho(x, q)
@@ -217,23 +217,15 @@ def infer(
     *,
     sweeps: int = paper.SWEEPS,
     tolerance: float | None = None,
-    usable: Mask | None = None,
-    start: Params | None = None,
 ) -> Posterior:
-    """Variational Bayes at T ticks at once: x (T, N, D), usable (T, N) or None: all are.
+    """Variational Bayes at T ticks at once: x (T, N, D).
 
     Each sweep is (32)-(35), then (37)-(47). The factors start as the prior (the paper's preset
-    means), or as `start`. With a `tolerance` the bound ends the sweeps (`paper.iterate`), after at
-    most `sweeps` of them. Drives that are not usable get r1 = 0. Raises ValueError if D is neither
-    1 nor 2, and for fewer than one sweep.
+    means). With a `tolerance` the bound ends the sweeps (`paper.iterate`), after at most `sweeps`
+    of them. Raises ValueError if D is neither 1 nor 2, and for fewer than one sweep.
     """
-    weight = np.ones(x.shape[:2]) if usable is None else usable.astype(np.float64)
-    x = np.where(weight[..., None] > 0.0, x, 0.0)
-    q = prior if start is None else start
-    rho = log_rho(x, q)
-    run = paper.iterate(
-        _sweep, (x, weight, *prior), (rho, np.zeros_like(weight), *q), sweeps, tolerance
-    )
+    start = log_rho(x, prior), np.zeros(x.shape[:2]), *prior
+    run = paper.iterate(_sweep, (x, *prior), start, sweeps, tolerance)
     return Posterior(run.state[1], Params(*run.state[2:]), run.bound, run.sweeps)
 
 
@@ -286,14 +278,7 @@ def flatten(q: Params, preset: Params, phi: float) -> Params:
     )
 
 
-def infer_reusing(
-    x: Array,
-    preset: Params,
-    phi: float,
-    *,
-    sweeps: int = paper.SWEEPS,
-    tolerance: float | None = None,
-) -> Posterior:
+def infer_reusing(x: Array, preset: Params, phi: float) -> Posterior:
     """`infer` tick after tick, each prior flattened from the tick before; shapes as `infer`.
 
     Sequential: T ticks are T calls.
@@ -303,7 +288,7 @@ def infer_reusing(
     for t in range(len(x)):
         now = Params(*(a[t : t + 1] for a in preset))
         prior = now if last is None else flatten(last, now, phi)
-        part = infer_tick(x[t : t + 1], prior, sweeps=sweeps, tolerance=tolerance)
+        part = infer_tick(x[t : t + 1], prior)
         last = part.q
         parts.append(part)
     return Posterior(

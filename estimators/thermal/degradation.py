@@ -43,7 +43,7 @@ class Degradation(NamedTuple):
     jumps: Array
 
 
-def jump_points(y: Array, threshold: float = JUMP) -> Flags:
+def jump_points(y: Array) -> Flags:
     """Mask (K - 1,) of the differences of y (K,) that are jumps, by the undecimated Haar transform.
 
     The details of its first level are all differences over sqrt(2), circularly. The transform looks
@@ -55,17 +55,12 @@ def jump_points(y: Array, threshold: float = JUMP) -> Flags:
     detail = np.asarray(pywt.swt(padded, "haar", level=1, trim_approx=True)[1])
     # Haar's detail k holds y_k - y_(k+1); the last one wraps around.
     differences = -np.sqrt(2.0) * detail[: len(y) - 1]
-    return outliers(differences, threshold)
-
-
-def outliers(differences: Array, threshold: float = JUMP) -> Flags:
-    """Which of the differences are jumps: beyond `threshold` robust standard deviations."""
-    off = np.abs(differences - np.median(differences))
+    off: Array = np.abs(differences - np.median(differences))
     sigma = GAUSS * float(np.median(off))
     if sigma <= 0.0:
         # More than half of the differences are equal: it shows their resolution, not their spread.
         sigma = float(np.sqrt(np.mean(off**2)))
-    return off > threshold * max(sigma, 1e-12)
+    return off > JUMP * max(sigma, 1e-12)
 
 
 def fit(y: Array, t: Array, jumps: Flags | None = None) -> Degradation:

@@ -36,6 +36,7 @@ HEAT: Final = ("overheating", "cooling_loss", "bearing_de", "bearing_nde", "wind
 SENSORS: Final = ("bias_stator", "bias_de", "bias_nde")
 LOOSE: Final = ("loose_stator", "loose_de", "loose_nde")
 KINDS: Final = (*HEAT, *SENSORS, *LOOSE)
+FLOOR_K: Final = 0.1
 SIZES_K: Final = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.2, 6.0, 8.5, 12.0, 17.0])
 BENIGN_K: Final = np.array([1.5, 3.6, 2.5, 2.5, 1.5, 1.5, 1.5, 1.5])
 """Least sizes that are faults, of `HEAT` and `SENSORS`. Smaller ones are dirt, draught, weather and
@@ -148,7 +149,7 @@ def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:
     return np.where(lasts, sides, 0)
 
 
-def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
+def spread(residual: Array, learnt: float) -> Spread:
     """`Spread` of fault-free residuals (K, M, 3) that were not used for the model.
 
     learnt: as in `Pace`.
@@ -160,7 +161,7 @@ def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
     sigma = np.empty((motors, 3))
     for m in range(motors):
         seen = off[np.isfinite(off[:, m]).all(axis=1), m]
-        covariance = seen.T @ seen / max(len(seen), 1) + floor_k**2 * np.eye(3)
+        covariance = seen.T @ seen / max(len(seen), 1) + FLOOR_K**2 * np.eye(3)
         sigma[m] = np.sqrt(np.diag(covariance))
         values, vectors = np.linalg.eigh(covariance)
         white[m] = (vectors / np.sqrt(values)).T
@@ -217,9 +218,9 @@ def signatures(parameters: Array, inputs: Inputs, start: Array | None) -> Array:
     return np.asarray(more / np.maximum(largest, 1e-9)[:, None])
 
 
-def believe(residual: Array, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
+def believe(residual: Array, known: Spread, shapes: Array) -> Belief:
     """Filter K samples of M motors, residual (K, M, 3) K; shapes (K, 5, 3): see `signatures`."""
-    kind, size, rise = filter_samples(residual - known.centre, known, shapes, at)
+    kind, size, rise = filter_samples(residual - known.centre, known, shapes)
     return Belief(kind, size, side_apart(kind, rise, shapes))
 
 

@@ -183,7 +183,6 @@ class ThermalMonitor(Addressed):
         self.config = _config(known, dt_s)
         self.block: int = self.config["block"].item()
         """Samples of a block."""
-        self.block_s = self.block * dt_s
         self.known_motors = _motors(known, self.block)
         self.motors = np.zeros(len(known.parameters), records.THERMAL_MOTOR)
         self.motors["trusted"], self.motors["compared_k"] = True, np.nan
@@ -207,11 +206,6 @@ class ThermalMonitor(Addressed):
         self.pointer = pointer("struct thermal_monitor", self.record)
 
     @property
-    def position(self) -> int:
-        """Samples that the current block has so far."""
-        return int(self.record["position"][0])
-
-    @property
     def waiting(self) -> int:
         """Number of motors that still wait to be judged for the last block: the last ones."""
         return int(self.record["waiting"][0])
@@ -228,10 +222,6 @@ class ThermalMonitor(Addressed):
         lib.thermal_monitor_add_sample(
             self.pointer, pointer("double", degrees), pointer("struct thermal_input", inputs)
         )
-
-    def close_block(self) -> None:
-        """End a block, complete or not: compare the motors, which then wait to be judged."""
-        lib.thermal_monitor_close_block(self.pointer)
 
     def judge(self, count: int) -> None:
         """Judge up to `count` of the waiting motors, so that a tick need not judge all at once."""

@@ -103,16 +103,16 @@ def split(record: Record, k: int) -> tuple[Record, Record]:
     return cut[0], cut[1]
 
 
-def features(record: Record, memories_s: Sequence[float] = MEMORIES_S) -> Array:
+def features(record: Record) -> Array:
     """(K, U) inputs at every sample: ambient, and fading averages of I^2 and |speed|, SI.
 
     Every method without a thermal model of its own uses them: one I^2 for the train (the motors'
-    mean) and the speed, each with the memories given.
+    mean) and the speed, each with the memories of `MEMORIES_S`.
     """
     square, speed = record.current_square.mean(axis=1), np.abs(record.speed)
     faded = [
         fading(signal, record.step_s / memory)[record.at]
-        for memory in memories_s
+        for memory in MEMORIES_S
         for signal in (square, speed)
     ]
     return np.stack([record.ambient[record.at], *faded], axis=1)

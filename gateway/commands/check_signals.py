@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from gateway.core.motion import FEWEST_SAMPLES
+from gateway.hil.synthetic_loss import missing
 from gateway.mapping.plan import given, raw_ends
 from gateway.settings.signal_map import UNITS
 
@@ -58,15 +59,7 @@ def _codes(plan: Plan) -> Iterator[str]:
 def _limits(plan: Plan) -> Iterator[str]:
     kinds = given(plan.signals)
     use = plan.signals.use
-    adhesion = [
-        text
-        for text, there in (
-            ("no phase currents", "PhaseCurrents" in kinds),
-            ("no voltages", "StatorVoltages" in kinds),
-            ("no torque or command", "Status" in kinds),
-        )
-        if not there
-    ]
+    adhesion = missing(set(kinds))
     if adhesion:
         yield f"adhesion: always Unknown: {', '.join(adhesion)}"
     else:

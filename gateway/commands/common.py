@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 GOOD, FAILED, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3
 """Exit codes of the contract."""
-PATIENCE_S: Final = 3.0
 PROBLEMS_SHOWN: Final = 5
 """Most faults of one log that are printed."""
 ENTRIES_SHOWN: Final = 50
@@ -34,6 +33,19 @@ def positive_seconds(text: str) -> float:
     if not 0.0 < seconds < 1e7:
         raise argparse.ArgumentTypeError(f"{text!r} is not a duration in seconds")
     return seconds
+
+
+def number_of_jobs(text: str) -> int:
+    """Parse a number of processes. Raises ArgumentTypeError unless it is 1 to 256."""
+    if not text.isdecimal() or not 1 <= int(text) <= 256:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of processes")
+    return int(text)
+
+
+def add_duration(parser: argparse.ArgumentParser) -> None:
+    """Add `--duration` of a scenario."""
+    parser.add_argument("--duration", type=positive_seconds, metavar="S",
+                        help="duration in s (default: the scenario's)")  # fmt: skip
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
@@ -64,6 +76,11 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
     import can.cli
 
     can.cli.add_bus_arguments(parser)
+
+
+def names_bus(options: argparse.Namespace) -> bool:
+    """Whether the options of `add_bus` name a bus."""
+    return hasattr(options, "interface") or hasattr(options, "channel")
 
 
 def add_line(parser: argparse.ArgumentParser) -> None:

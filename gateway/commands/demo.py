@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from gateway.commands.common import GOOD, positive_seconds
+from gateway.commands.common import GOOD, add_duration
 from gateway.commands.progress import Progress
 from gateway.io import extras
 from gateway.io.console import console
@@ -16,18 +16,12 @@ from gateway.io.prepare import prepare
 from gateway.settings.config import ConfigError
 
 CHANNEL = "traction-gateway-demo"
-SETTLE_NS = 500_000_000
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("--headless", action="store_true", help="no live display")
-    parser.add_argument(
-        "--duration",
-        type=positive_seconds,
-        metavar="S",
-        help="duration in s (default: the scenario's)",
-    )
+    add_duration(parser)
     parser.add_argument("--scenario", default="demo", help="a scenario file or shipped name")
     parser.add_argument("-o", "--output", type=Path, default=Path("demo.png"), metavar="PNG",
                         help="where the picture goes (default: demo.png)")  # fmt: skip

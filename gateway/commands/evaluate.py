@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.commands import evaluate_thermal
-from gateway.commands.common import GOOD, add_config
+from gateway.commands.common import GOOD, add_config, number_of_jobs
 from gateway.commands.progress import Progress
 from gateway.io.console import console
 from gateway.io.extras import pictures
@@ -43,7 +43,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
     parser.add_argument(
-        "-j", "--jobs", type=_jobs, default=1, metavar="N", help="number of processes"
+        "-j", "--jobs", type=number_of_jobs, default=1, metavar="N", help="number of processes"
     )
     parser.add_argument("--false-alarms", type=float, metavar="N",
                         help="check a stated rate of N false alarms in 1000 h instead: the limit "
@@ -54,12 +54,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
 
 
-def _jobs(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 256:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of processes")
-    return int(text)
-
-
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write the files. Exit 2 if nothing can be evaluated."""
     if options.what == "thermal":
@@ -68,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.world == "other":
         raise ConfigError("--world other", [f"is for thermal; known: {', '.join(WORLDS[:-1])}"])
+    from estimators.detect import DETECTORS
     from gateway.study.evaluation_report import table, write
     from gateway.study.evaluation_runs import Plan, evaluate, known_detectors, seeds_of
 
@@ -80,8 +75,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if options.false_alarms is not None:
         return _promise(options, plan)
-    asked = options.detector or _all_detectors()
-    detectors, refused = known_detectors(dict.fromkeys(asked), plan)
+    detectors, refused = known_detectors(dict.fromkeys(options.detector or DETECTORS), plan)
     if not detectors:
         raise ConfigError("--detector", refused)
     for line in refused:
@@ -143,9 +137,3 @@ def _families(options: argparse.Namespace) -> tuple[str, ...]:
     if problems:
         raise ConfigError("evaluate", problems)
     return names
-
-
-def _all_detectors() -> tuple[str, ...]:
-    from estimators.detect import DETECTORS
-
-    return tuple(DETECTORS)

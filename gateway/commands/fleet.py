@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import FAILED, GOOD, add_config
+from gateway.commands.common import FAILED, GOOD, add_config, number_of_jobs
 from gateway.commands.progress import Progress
 from gateway.io.console import console
 from gateway.io.extras import need
@@ -31,7 +31,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="DIR",
                         help="folder or URL for fleet.parquet, fleet.csv and estimates/, a file "
                         "per log")  # fmt: skip
-    parser.add_argument("-j", "--jobs", type=_jobs, default=os.cpu_count() or 1, metavar="N",
+    parser.add_argument("-j", "--jobs", type=number_of_jobs, metavar="N",
+                        default=os.cpu_count() or 1,
                         help="local processes (default: one per CPU)")  # fmt: skip
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="Dask scheduler instead, tls://HOST:PORT")  # fmt: skip
@@ -39,12 +40,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="day,train: estimates/day=2026-11-28/train=NAME/")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
     parser.add_argument("--force", action="store_true", help="replay logs again that are done")
-
-
-def _jobs(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 256:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of processes")
-    return int(text)
 
 
 def _parts(text: str) -> tuple[str, ...]:

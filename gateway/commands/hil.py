@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 from gateway.commands import hil_mutate, hil_slip
-from gateway.commands.common import FAILED, GOOD, INCONCLUSIVE, add_bus, add_config, add_signature
+from gateway.commands.common import (
+    FAILED,
+    GOOD,
+    INCONCLUSIVE,
+    add_bus,
+    add_config,
+    add_signature,
+    names_bus,
+)
 from gateway.commands.progress import Progress, stepped
 from gateway.hil.fitting import fitting
 
@@ -140,7 +148,7 @@ def _kept(
     facts = [
         *file_facts(path_of(name), "scenario"),
         ("seed", str(scenario.seed)),
-        ("bus", options_name(options) if _on_bus(options) else "none: a virtual clock"),
+        ("bus", options_name(options) if names_bus(options) else "none: a virtual clock"),
         *span_facts(left.trace, outcome.gateway.inbox.counts["received"]),
     ]
     inside = f"{left.folder.name}/"
@@ -152,10 +160,6 @@ def _kept(
         )  # fmt: skip
 
 
-def _on_bus(options: argparse.Namespace) -> bool:
-    return hasattr(options, "interface") or hasattr(options, "channel")
-
-
 def _outcome(
     options: argparse.Namespace,
     name: str,
@@ -164,7 +168,7 @@ def _outcome(
     codec: Codec,
     left: Reporting | None = None,
 ) -> Outcome:
-    if _on_bus(options):
+    if names_bus(options):
         from gateway.hil.buses import run_on_real_bus
         from gateway.hil.own_motor import save_scenario
         from sim.scenario import find

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import FAILED, GOOD
+from gateway.commands.common import FAILED, GOOD, names_bus
 from gateway.commands.progress import track
 from gateway.io.console import note
 from gateway.settings.config import ConfigError
@@ -77,8 +77,7 @@ def is_tests(name: str) -> bool:
 
 def _refuse(options: argparse.Namespace) -> None:
     """Raise ConfigError for options that do not go together with mutants."""
-    bus = [name for name in ("interface", "channel") if hasattr(options, name)]
-    if bus or options.mutate < 1:
+    if names_bus(options) or options.mutate < 1:
         raise ConfigError("--mutate", ["needs N of at least 1, and no bus: it has a virtual clock"])
 
 

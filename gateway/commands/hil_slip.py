@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import FAILED, GOOD
+from gateway.commands.common import FAILED, GOOD, names_bus
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _device(options: argparse.Namespace) -> Callable[[Track], Run]:
     from gateway.hil.slip_bench import CONTROLLERS, ride, ride_on_bus, ride_with_gateway
 
     name = options.controller
-    if hasattr(options, "interface") or hasattr(options, "channel"):
+    if names_bus(options):
         if name != "gateway":
             raise ConfigError("--controller", ["on a bus the device's flags control the torque"])
         return partial(ride_on_bus, options=options)

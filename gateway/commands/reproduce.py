@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -69,17 +70,13 @@ def _thermal(folder: Path, *, resume: bool) -> int:
     need(("autograd", "pywt", "sklearn"), "papers")
     from gateway.commands import reproduce_thermal as thermal
 
+    show = partial(print, flush=True)  # not buffered, because the rest takes minutes
     began = time.perf_counter()
     with Progress("starting", 2 * thermal.TRAINS + thermal.STEPS) as progress:
-        thermal.reproduce(folder, stepped(progress), resume=resume, show=_print_now)
+        thermal.reproduce(folder, stepped(progress), resume=resume, show=show)
     print(f"report: {folder / 'report.html'}")
     console().print(f"done in {time.perf_counter() - began:.0f} s")
     return GOOD
-
-
-def _print_now(text: str) -> None:
-    """Print without buffering, because the rest takes minutes."""
-    print(text, flush=True)
 
 
 def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_SEEDS) -> Outcome:

@@ -6,8 +6,9 @@ import argparse
 import logging
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from dbc.frame import SECOND
 from gateway.commands.common import GOOD, add_bus, add_config, add_signature, positive_seconds
@@ -53,16 +54,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_bus(parser)
 
 
-class Started(NamedTuple):
-    """Objects made at the start."""
-
-    config: Config
-    transport: Transport
-    ticker: Ticker
-    gateway: Gateway
-
-
-def _start(options: argparse.Namespace) -> Started:
+def _start(options: argparse.Namespace) -> tuple[Config, Transport, Ticker, Gateway]:
     """Load the files and make all objects. Raises ConfigError or DbcMismatch with all problems."""
     from gateway.core.gateway import Gateway
     from gateway.io.bus import open_transport
@@ -94,7 +86,7 @@ def _start(options: argparse.Namespace) -> Started:
     _rehearse(config, codec)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)
-    return Started(config, transport, ticker, gateway)
+    return config, transport, ticker, gateway
 
 
 def _rehearse(config: Config, codec: Codec) -> None:
@@ -139,15 +131,10 @@ def run(options: argparse.Namespace) -> int:
 
             display.update(render(gateway.view, f"traction-gateway on {options_name(options)}"))
 
-    if display is None:
+    with display or nullcontext():
         seen = run_live(gateway, transport, node, ticker, stop=stop,
                         errors=lambda: active_errors(gateway), on_tick=watch,
                         on_end=overseer.stopping)  # fmt: skip
-    else:
-        with display:
-            seen = run_live(gateway, transport, node, ticker, stop=stop,
-                            errors=lambda: active_errors(gateway), on_tick=watch,
-                            on_end=overseer.stopping)  # fmt: skip
     summary(gateway, seen)
     if options.results:
         from gateway.reports.timing import leave

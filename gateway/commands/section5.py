@@ -31,7 +31,7 @@ from sim.physics.sensors import CurrentSensors
 from sim.profile import Profile
 from sim.scenario import Scenario
 from sim.scenario_schema import Motion
-from sim.simulation import ANGLE_STREAM, PERIOD_NS, Simulation
+from sim.simulation import PERIOD_NS, Simulation, start_angles
 
 NAME: Final = "paper_section5"
 SLOW: Final = 16
@@ -97,14 +97,10 @@ def simulate(scenario: Scenario) -> World:
     t_s = np.arange(count, dtype=np.float64) * (PERIOD_NS * 1e-9)
     schedule, profile = Schedule(scenario, motor), Profile(scenario, motor.pole_pairs)
     w_ref, w_acc, load = profile.at(t_s)
-    theta = [
-        np.random.default_rng([scenario.seed, ANGLE_STREAM, d]).uniform(0.0, 2.0 * np.pi)
-        for d in range(n)
-    ]
     rolling = scenario.motion.start == "rolling"
     plant = Plant(
         motor,
-        np.array(theta),
+        start_angles(scenario),
         on_rail=False,
         w_0=w_ref[0] if rolling else 0.0,
         load_0=load[0],

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from gateway.commands.common import GOOD, add_bus, positive_seconds
+from gateway.commands.common import GOOD, add_bus, add_duration, names_bus
 from gateway.commands.progress import track
 from gateway.io.console import console
 from gateway.settings.config import ConfigError
@@ -30,12 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="LOG",
                         help="write a candump log, faster than real time")  # fmt: skip
     parser.add_argument("--truth", type=Path, metavar="FILE", help="CSV file for the ground truth")
-    parser.add_argument(
-        "--duration",
-        type=positive_seconds,
-        metavar="S",
-        help="duration in s (default: the scenario's)",
-    )
+    add_duration(parser)
     parser.add_argument("--dbc", default="traction.dbc", metavar="FILE",
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--wait-for-start", action="store_true",
@@ -62,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     if options.dbc in BUILTIN_DBC and not path.is_file():
         path = shipped_dbc(options.dbc)
     codec = bind(path, nodes)
-    on_bus = hasattr(options, "interface") or hasattr(options, "channel")
+    on_bus = names_bus(options)
     if on_bus:
         # One step imports everything before the clock starts: real time does not wait for it.
         Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)

@@ -95,10 +95,10 @@ def _apart(lines: list[str], folder: Path) -> int:
 @contextmanager
 def _forwarded(send: Callable[[int], None]) -> Iterator[None]:
     """Forward SIGINT and SIGTERM to the command, which may end itself as it likes."""
-    kinds = (signal.SIGINT, signal.SIGTERM)
-    before = {kind: signal.getsignal(kind) for kind in kinds}
-    for kind in kinds:
-        signal.signal(kind, lambda number, _frame: send(number))
+    before = {
+        kind: signal.signal(kind, lambda number, _frame: send(number))
+        for kind in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield
     finally:

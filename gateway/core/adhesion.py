@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 from _traction_core import lib
-from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
 from dbc.records import (
@@ -80,14 +79,6 @@ class AdhesionMonitor(Addressed):
         if self.switching is not None:
             self.record["switching"] = self.switching.record.ctypes.data
         self._pointer = pointer("struct adhesion", self.record)
-        self.common_mode = self.record["common_mode"]
-        """One flag: whether all drives have lost adhesion at once."""
-        self.severe: NDArray[np.uint8] = self.loads["severe_loss"]
-        """(N,) drives that carry so much less than the others that noise cannot be the cause."""
-        self.uncertain: NDArray[np.uint8] = self.rotors["uncertain"]
-        """(N,) drives whose rotor may run away."""
-        self.unreliable_until_ns: NDArray[np.int64] = self.rotors["unreliable_until_ns"]
-        """(N,) ns: until then the currents of a drive are no evidence of a loss."""
 
     def ask_detector(self, estimates: Records) -> None:
         """Do what `adhesion_detect` does, with a detector outside the core. estimates: (N,)."""

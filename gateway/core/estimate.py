@@ -33,8 +33,6 @@ from gateway.core.codes import Reason
 from gateway.settings.config import Motor
 from gateway.settings.sections import Estimator
 
-SETTLE_STEPS: Final = lib.FILTER_SETTLE_STEPS
-"""Sub-steps (60 ms) a new filter runs before its load is valid."""
 SAMPLES_AT_FIRST: Final = 512
 """Samples per tick that there is room for, until a tick has more."""
 

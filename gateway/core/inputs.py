@@ -18,10 +18,6 @@ from dbc.records import DRIVE_CHANNELS, INPUT_STATUS, Records
 from gateway.core.codes import Flag, Reason
 from gateway.core.receiving import Receiver
 
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Flags = NDArray[np.bool_]
-
 NONE: Final = -1
 """In place of a channel that does not exist."""
 

@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from dbc.records import MOTION, MOTION_MONITOR, Addressed, Columns, Records
+from dbc.records import MOTION, MOTION_MONITOR, Addressed, Records
 from gateway.core import plausibility
 from gateway.core.channel import SAMPLE_NS
+from gateway.core.estimate import Bank
+from gateway.core.inputs import InputMonitor
+from gateway.core.receiving import Receiver
 from gateway.settings.config import Motor
 from gateway.settings.sections import Estimator
 
@@ -37,7 +40,6 @@ CRAWLS: Final = 1.5
 """Times the least observable speed: below it the load comes from `Motion`, if there is one."""
 
 Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 
 class Timebase(NamedTuple):
@@ -52,39 +54,17 @@ class Timebase(NamedTuple):
     speed_step: float
 
 
-class HasRecord(Protocol):
-    """Type of the receiver: `receiving.Receiver`."""
-
-    record: Records
-
-
-class HasStatus(Protocol):
-    """Type of the validity of inputs: `inputs.InputMonitor`."""
-
-    status: Records
-
-
-class HasEstimates(Protocol):
-    """Type of the estimator: `estimate.Bank`."""
-
-    estimates: Records
-    filters: Columns
-    chords: Columns
-    sensors: Columns
-
-
 class MotionMonitor(Addressed):
     """`motion` and `plausibility` of N drives, (N,), as `motions` and `checks`.
 
-    implausible (N,): drives whose input is implausible. A copy is a monitor of its own.
+    A copy is a monitor of its own.
     """
 
-    implausible: Bytes
     pointer: Any
 
     def __init__(
         self, motors: Sequence[Motor], config: Estimator, times: Timebase, tick_ns: Nanos,
-        current_step_a: float, receiver: HasRecord, inputs: HasStatus, bank: HasEstimates,
+        current_step_a: float, receiver: Receiver, inputs: InputMonitor, bank: Bank,
         rotors: Records,
     ) -> None:  # fmt: skip
         """Noise is that of the configuration, per unit of each motor's rated torque.
@@ -124,7 +104,6 @@ class MotionMonitor(Addressed):
         }  # fmt: skip
         for name, array in arrays.items():
             self.record[name] = array.ctypes.data
-        self.implausible = self.motions["implausible"]
         self.pointer = ffi.from_buffer("struct motion_monitor *", self.record)
 
 

@@ -24,7 +24,6 @@ EMCY_BASE = 0x080
 TIMEOUT_PERIODS: Final[int] = lib.TIMEOUT_PERIODS
 """Consumer time-out in heartbeat periods."""
 EMCY_KEPT = 16
-ACTIVE_KEPT = 16
 _NOT_PLAIN = EXTENDED | REMOTE | ERROR | FD
 
 
@@ -57,34 +56,19 @@ class Emergency(NamedTuple):
 
 
 class EmcyLog:
-    """Emergencies of one node: the last 16, the codes still active (at most 16), and counts."""
+    """Emergencies of one node: the last 16, and their number."""
 
-    __slots__ = ("_active", "received", "recent", "unlisted")
+    __slots__ = ("received", "recent")
 
     def __init__(self) -> None:
         """Start empty."""
         self.recent: deque[Emergency] = deque(maxlen=EMCY_KEPT)
         self.received = 0
-        self.unlisted = 0
-        """Errors that did not fit the list of active codes."""
-        self._active: dict[int, Nanos] = {}
-
-    @property
-    def active(self) -> tuple[int, ...]:
-        """Error codes reported and not reset since, oldest first."""
-        return tuple(self._active)
 
     def add(self, emergency: Emergency) -> None:
-        """Note a message; a code 0x00xx resets all active ones."""
+        """Note a message."""
         self.received += 1
         self.recent.append(emergency)
-        if emergency.code & 0xFF00 == 0:
-            self._active.clear()
-        elif emergency.code not in self._active:
-            if len(self._active) < ACTIVE_KEPT:
-                self._active[emergency.code] = emergency.t_ns
-            else:
-                self.unlisted += 1
 
 
 class Supervision(Addressed):

@@ -150,11 +150,6 @@ class TemperatureMonitor(Addressed):
         set_cut_out(self.record["cut_out"], driven_square, self.dt_s)
 
     @property
-    def cycles(self) -> int:
-        """How often the windows have advanced."""
-        return int(self.record["cycles"][0])
-
-    @property
     def spread(self) -> Array:
         """(P,) MAISD, K; NaN where there is none."""
         return np.asarray(self._windows["spread"][0])

@@ -58,7 +58,7 @@ def touched_drives(scenario: Scenario) -> set[int]:
 
 
 def both_sides(
-    key: bytes | None, trip: int = 1
+    key: bytes | None,
 ) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
     """Sender, and a factory of drives' receivers that accept no freshness before its first."""
     if key is None:
@@ -66,7 +66,7 @@ def both_sides(
     from dbc.secoc_receiver import Verifier
     from dbc.secoc_sender import Authenticator
 
-    sender = Authenticator(key, trip)
+    sender = Authenticator(key, 1)
     return sender, partial(Verifier, key, sender.freshness)
 
 
@@ -75,7 +75,6 @@ def run_virtual(
     config: Config,
     codec: Codec,
     watch: Iterable[Watch] = (),
-    duration_s: float | None = None,
     key: bytes | None = None,
     begin: Callable[[Gateway], None] | None = None,
     truth: Callable[[list[Truth]], None] | None = None,
@@ -98,8 +97,7 @@ def run_virtual(
     track = FlagTrack(codec, config.nodes)
     period = config.loop.period_ns
     sent: list[Frame] = []
-    seconds = scenario.duration_s if duration_s is None else duration_s
-    for tick in range(round(seconds * config.loop.rate_hz) + 1):
+    for tick in range(round(scenario.duration_s * config.loop.rate_hz) + 1):
         now = tick * period
         received = simulation.step(sent, now)
         rows = simulation.truth_rows()

@@ -123,9 +123,7 @@ def _root(P: Array) -> Array:
 class Forecast:
     """Forecast for one speed and torque. Raises ConfigError as `Gateway`, ValueError (reason)."""
 
-    def __init__(
-        self, config: Config, codec: Codec, speed_rad_s: float, torque: float, seed: int = 1
-    ) -> None:
+    def __init__(self, config: Config, codec: Codec, speed_rad_s: float, torque: float) -> None:
         """speed_rad_s: speed of all rotors; torque: share of each motor's rated torque."""
         self._gateway = gateway = Gateway(config, codec, 0)
         self._period = config.loop.period_ns
@@ -133,7 +131,7 @@ class Forecast:
         self._inertia = gateway.motion.motions["mechanics"]["J"].tolist()
         self.sources = sources(gateway, speed_rad_s)
         _check_range(gateway, speed_rad_s, self._torque)
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(1)
         status = [d.channels.get("Status") for d in gateway.inbox.drives]
         self._status_ns = max((c.period_ns for c in status if c), default=self._period)
         self._warm = -(-WARM_NS // self._period)

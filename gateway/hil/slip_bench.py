@@ -76,12 +76,12 @@ class Bench(Simulation):
     """The simulated drives of a track, whose torque follows the flags on the bus."""
 
     def __init__(
-        self, track: Track, codec: Codec, controller: Controller | None = None,
-        nodes: tuple[int, ...] | None = None, *, self_start: bool = False,
+        self, track: Track, codec: Codec, nodes: tuple[int, ...] | None = None, *,
+        self_start: bool = False,
     ) -> None:  # fmt: skip
-        """controller: how the drives act on the flags, default `FlagLaw`."""
+        """The drives act on the flags by `FlagLaw`."""
         super().__init__(scenario_of(track), codec, nodes=nodes, self_start=self_start)
-        self.train = BrakingTrain(track, controller or FlagLaw(), self._flags)
+        self.train = BrakingTrain(track, FlagLaw(), self._flags)
         self._plant = self.train
 
     def _flags(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -94,12 +94,10 @@ def configured(track: Track) -> tuple[Config, Codec]:
     return fitting(None, scenario_of(track))
 
 
-def ride_with_gateway(
-    track: Track, controller: Controller | None = None, longest_s: float = LONGEST_S
-) -> Run:
+def ride_with_gateway(track: Track, longest_s: float = LONGEST_S) -> Run:
     """One run with our gateway on a virtual bus."""
     config, codec = configured(track)
-    bench = Bench(track, codec, controller, tuple(config.nodes))
+    bench = Bench(track, codec, tuple(config.nodes))
     gateway, node = Gateway(config, codec, 0), CanopenNode(config.nodes, nmt_master=True)
     sent: list[Frame] = []
     period: Nanos = config.loop.period_ns

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from gateway.hil.slip_plant import LEAD_IN_S, LOCKED, RISE_S, Moment, creep_of
 from gateway.hil.slip_rails import Track
 
-Array = NDArray[np.float64]
 STEP_S: Final = 0.01
 SLIDES: Final = 1.05
 """Creep relative to the rail's best above which a wheel slides in the ground truth."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import struct
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +20,6 @@ from gateway.io.wire import FD_SIZE
 
 CONTROL_SIZE: Final = 128
 """Bytes of control data per message; stamp and drop counter take 56 with 64-bit words."""
-NATIVE: Final = struct.calcsize("@l")
 _DONTWAIT: Final = 0x40
 
 

@@ -57,8 +57,8 @@ class Device(NamedTuple):
     faults: tuple[str, ...] = ()
 
 
-def device_of(path: Path, node: int | None = None) -> Device:
-    """Read an EDS or DCF, plain or gzip. node: the node id for identifiers if the file has none.
+def device_of(path: Path) -> Device:
+    """Read an EDS or DCF, plain or gzip; if it has no node id, identifiers are for node 1.
 
     Raises ConfigError if the file cannot be read or holds no object.
     """
@@ -77,7 +77,7 @@ def device_of(path: Path, node: int | None = None) -> Device:
     pdos = []
     for number, index in enumerate(TPDOS, 1):
         if index in eds.objects:
-            pdo, problems = _pdo(eds, number, index, own or node or 1)
+            pdo, problems = _pdo(eds, number, index, own or 1)
             pdos += [pdo] if pdo else []
             faults += problems
     product = eds.get("DeviceInfo", "ProductName")

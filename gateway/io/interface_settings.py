@@ -107,9 +107,9 @@ def link_findings(channel: str, found: Facts, bitrate: int, data_bitrate: int) -
     return out
 
 
-def _ask(channel: str, patience_s: float = PATIENCE_S) -> Facts | None:
+def _ask(channel: str) -> Facts | None:
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as route:
-        route.settimeout(patience_s)
+        route.settimeout(PATIENCE_S)
         route.send(question(channel))
         return facts(route.recv(1 << 16))
 

@@ -8,7 +8,7 @@ import select
 import socket
 import struct
 import time
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from dbc.frame import Nanos
 from gateway.io.batch import Batch
@@ -34,19 +34,6 @@ class Link(NamedTuple):
     mtu: int
 
 
-class RawSocket(Protocol):
-    """The part of `socket.socket` that is used."""
-
-    def fileno(self) -> int:
-        """Descriptor for poll."""
-
-    def send(self, data: bytes, /) -> int:
-        """Hand one frame to the kernel."""
-
-    def close(self) -> None:
-        """Close."""
-
-
 class Kernel:
     """The system calls, in one place; tests pass a stand-in."""
 
@@ -58,7 +45,7 @@ class Kernel:
         """CLOCK_REALTIME, the clock of the kernel's stamps."""
         return time.time_ns()
 
-    def connect(self, channel: str, fd: bool, first: bool = False) -> RawSocket:
+    def connect(self, channel: str, fd: bool, first: bool = False) -> socket.socket:
         """A bound, non-blocking raw CAN socket. Raises OSError.
 
         first: its frames go ahead of those of other programs in the kernel's queue.
@@ -82,19 +69,18 @@ class Kernel:
             raise
         return raw
 
-    def queued(self, raw: RawSocket) -> int:
+    def queued(self, raw: socket.socket) -> int:
         """Memory of this socket's frames that no driver has taken yet, bytes.
 
         0 if the kernel does not report it (before 4.12): frames then queue without a limit here.
         """
-        assert isinstance(raw, socket.socket)
         try:
             found = raw.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
             return int(_MEMINFO.unpack(found)[0])
         except (OSError, struct.error):
             return 0
 
-    def look(self, raw: RawSocket, channel: str) -> Link | None:
+    def look(self, raw: socket.socket, channel: str) -> Link | None:
         """Index, flags and MTU of an interface by name; None if there is none."""
         request = _IFREQ.pack(channel.encode()[:15])
         try:
@@ -106,19 +92,18 @@ class Kernel:
             return None
         return Link(answers[0], bool(answers[1] & _IFF_UP), answers[2])
 
-    def read(self, raw: RawSocket, batch: Batch) -> bool:
+    def read(self, raw: socket.socket, batch: Batch) -> bool:
         """Read waiting frames; True if none is left. OSError, BlockingIOError as `Batch.read_from`.
 
         Asking for an error that ended the call early takes a quarter of the time of a second read.
         """
-        assert isinstance(raw, socket.socket)
         if not batch.read_from(raw.fileno()):
             return False
         if code := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             raise OSError(code, os.strerror(code))
         return True
 
-    def wait(self, raw: RawSocket, timeout_ms: int) -> None:
+    def wait(self, raw: socket.socket, timeout_ms: int) -> None:
         """Wait until something can be read, at most `timeout_ms`."""
         poll = select.poll()
         poll.register(raw.fileno(), select.POLLIN)

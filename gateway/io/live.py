@@ -11,19 +11,20 @@ import logging
 import signal
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from types import FrameType
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from dbc.frame import Frame, Nanos
-from dbc.frames import Block
-from gateway.core.integrity import IntegrityMonitor
 from gateway.io.canopen_node import CanopenNode, meant
 from gateway.io.endings import Ended
 from gateway.io.realtime import Ticker
 from gateway.io.timing import Timing
 from gateway.io.transport import LinkState, SendResult, Status, Transport
+
+if TYPE_CHECKING:
+    from gateway.core.gateway import Gateway
 
 log = logging.getLogger(__name__)
 
@@ -40,27 +41,6 @@ OLDEST = 2
 deciding and sending, and the next step has newer values. A tick that only starts late does send."""
 TIMING_TICKS = 100
 """Ticks between two reports of timing to the core."""
-
-
-class Core(Protocol):
-    """The part of `gateway.core.gateway.Gateway` that the loop uses."""
-
-    @property
-    def decided_ns(self) -> Nanos | None:
-        """Stamp of the newest sample that the last step's flags rest on; None before any."""
-
-    def step(self, frames: Block, now_ns: Nanos, /) -> list[Frame]:
-        """One tick."""
-
-    @property
-    def integrity(self) -> IntegrityMonitor:
-        """Counts missed ticks and lost frames, which are reported to it before a step."""
-
-    def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
-        """Take the latency from frame to flag and the lateness of ticks: 99th percentiles, us."""
-
-    def unknown_frames(self, now_ns: Nanos, /) -> list[Frame]:
-        """Flag frames in which every flag is unknown."""
 
 
 @dataclass(slots=True)
@@ -117,7 +97,7 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
 
 
 def run_live(
-    gateway: Core,
+    gateway: Gateway,
     transport: Transport,
     node: CanopenNode,
     ticker: Ticker,
@@ -135,7 +115,9 @@ def run_live(
     core raises (a programming error, which is passed on to the caller).
     """
     stop = stop or Stop()
-    with _signals(stop), frozen_garbage():
+    # In another thread the caller ends the loop by `stop`.
+    in_main = threading.current_thread() is threading.main_thread()
+    with stop_on_signals(stop) if in_main else nullcontext(), frozen_garbage():
         try:
             return _loop(gateway, transport, node, ticker, stop, errors, on_tick)
         finally:
@@ -146,7 +128,7 @@ def run_live(
 
 
 def _loop(
-    gateway: Core,
+    gateway: Gateway,
     transport: Transport,
     node: CanopenNode,
     ticker: Ticker,
@@ -206,7 +188,7 @@ def _loop(
     return seen
 
 
-def _farewell(gateway: Core, transport: Transport, ticker: Ticker) -> None:
+def _farewell(gateway: Gateway, transport: Transport, ticker: Ticker) -> None:
     """Send unknown flags three times, a tick apart, so that no receiver keeps the last flags."""
     for _ in range(FAREWELL):
         tick = ticker.wait()
@@ -217,16 +199,6 @@ def _farewell(gateway: Core, transport: Transport, ticker: Ticker) -> None:
 def _say_link(status: Status) -> None:
     level = logging.INFO if status.state is LinkState.UP else logging.WARNING
     log.log(level, "bus is %s%s", status.state, f": {status.note}" if status.note else "")
-
-
-@contextmanager
-def _signals(stop: Stop) -> Iterator[None]:
-    """Handle signals in the main thread; in another thread the caller ends the loop by `stop`."""
-    if threading.current_thread() is threading.main_thread():
-        with stop_on_signals(stop):
-            yield
-    else:
-        yield
 
 
 @contextmanager

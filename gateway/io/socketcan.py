@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import errno
 import logging
+import socket
 from collections import deque
 
 from dbc.frame import MS, SECOND, Frame, Nanos
 from dbc.frames import EMPTY, Block
 from gateway.io.batch import Batch
-from gateway.io.kernel import Kernel, RawSocket
+from gateway.io.kernel import Kernel
 from gateway.io.links import Links
 from gateway.io.transport import (
     RETRY_NS,
@@ -72,7 +73,7 @@ class SocketCan:
         self._held = 0  # reads in a row with our own frames still waiting
         self._state_ns: Nanos = 0  # when the bus state was last updated other than by netlink
         self._kernel = kernel or Kernel()
-        self._raw: RawSocket | None = None
+        self._raw: socket.socket | None = None
         self._ifindex = 0
         self._opened = False
         self._batch = Batch(BATCH)
@@ -279,7 +280,7 @@ class SocketCan:
         self.status.note = note
         self._retry_ns = self._kernel.monotonic_ns() + RETRY_NS
 
-    def _drain(self, raw: RawSocket, started: Nanos) -> Block:
+    def _drain(self, raw: socket.socket, started: Nanos) -> Block:
         """Read until the queue is empty; stamp each frame by its age in the kernel's stamps.
 
         `started` is a time before the first read.

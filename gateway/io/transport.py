@@ -83,19 +83,8 @@ class Status:
 
     def count(self, result: SendResult) -> SendResult:
         """Count a send and pass its result on."""
-        match result:
-            case SendResult.SENT:
-                self.sent += 1
-            case SendResult.REFUSED:
-                self.tx_refused += 1
-            case SendResult.FULL:
-                self.tx_full += 1
-            case SendResult.DOWN:
-                self.tx_down += 1
-            case SendResult.LATE:
-                self.tx_late += 1
-            case SendResult.FAILED:
-                self.tx_failed += 1
+        name = "sent" if result is SendResult.SENT else f"tx_{result.value}"
+        setattr(self, name, getattr(self, name) + 1)
         return result
 
     def saw(self, frame: Frame, *, from_wire: bool = True) -> None:

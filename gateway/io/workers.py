@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @contextmanager
@@ -22,6 +26,15 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
             for process in set(active_children()) - others:
                 process.terminate()
             raise
+
+
+def mapped(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
+    """Yield the function's result for each item, in order, computed in `jobs` processes."""
+    if jobs <= 1:
+        yield from map(function, items)
+        return
+    with workers(jobs) as pool:
+        yield from pool.map(function, items)
 
 
 def _leave_it_to_the_parent() -> None:

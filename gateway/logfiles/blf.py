@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Final
 
@@ -26,8 +26,10 @@ from dbc.logs.blf_objects import (
     FILE,
     SENT_FLAG,
 )
-from dbc.logs.format import FD_SIZES
+from dbc.logs.format import DLC_OF
+from dbc.logs.times import EPOCH
 from gateway.logfiles.channels import ChannelNumbers
+from gateway.logfiles.frames import without
 
 _HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000
 _STAMP: Final = struct.Struct("<LHHQ")
@@ -36,8 +38,6 @@ _MESSAGE: Final = 1
 _MOST_CHANNEL: Final = 0xFFFE
 """Highest channel number from 0; in the file, channels count from 1, in 16 bits."""
 _LOBJ, _AT_ONCE = int.from_bytes(b"LOBJ", "little"), 2048
-_CODES: Final = {size: code for code, size in enumerate(FD_SIZES)}
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 class BlfFile:
@@ -63,10 +63,7 @@ class BlfFile:
         if self._first_ns is None:
             self._first_ns = block.t_ns.item(0)
             self._start_ns = self._first_ns // _MS * _MS
-        early = block.t_ns < self._first_ns
-        if early.any():
-            self.left_out["before_the_first"] += int(np.count_nonzero(early))
-            block = block.pick(~early)
+        block = without(block, block.t_ns < self._first_ns, self.left_out, "before_the_first")
         self._last_ns = max(self._last_ns, int(block.t_ns.max(initial=0)))
         self.written += block.size
         lost = block.flags & (ERROR | TX) == ERROR | TX
@@ -116,7 +113,7 @@ class BlfFile:
             kind = FD_KIND
             bits = 1 | (2 if flags & BRS else 0) | (4 if flags & ESI else 0)
             size = len(data)
-            body = FD_MESSAGE.pack(channel, sent, _CODES[size], can_id, 0, 0, bits, size, data)
+            body = FD_MESSAGE.pack(channel, sent, DLC_OF[size], can_id, 0, 0, bits, size, data)
         else:
             kind = _MESSAGE
             remote = _REMOTE_FLAG if flags & REMOTE else 0
@@ -167,6 +164,6 @@ def _system_time(t_ns: Nanos) -> tuple[int, ...]:
     """Windows' SYSTEMTIME in UTC; zeros, which mean no time, up to 1970."""
     if t_ns <= 0:
         return (0,) * 8
-    m = _EPOCH + timedelta(microseconds=t_ns // 1000)
+    m = EPOCH + timedelta(microseconds=t_ns // 1000)
     day = m.isoweekday() % 7
     return (m.year, m.month, day, m.day, m.hour, m.minute, m.second, m.microsecond // 1000)

@@ -13,13 +13,13 @@ MOST: Final = 99_999
 """The largest number that counts as a channel number."""
 _MOST_DIGITS: Final = 21
 """Longest name of a channel in candump text, in characters."""
-_UNNAMED: Final = "can0"
+UNNAMED: Final = "can0"
 """Channel in candump text of a frame without a channel."""
 
 
 def channel_number(channel: str, most: int = MOST) -> int | None:
     """Number formed by the digits of a channel's name; None without digits or above `most`."""
-    digits = "".join(filter(str.isdecimal, channel or _UNNAMED))
+    digits = "".join(filter(str.isdecimal, channel or UNNAMED))
     number = int(digits) if digits and len(digits) <= _MOST_DIGITS else most + 1
     return number if number <= most else None
 
@@ -51,5 +51,5 @@ class ChannelNumbers:
 
     def _comes_back(self, channel: str) -> bool:
         number = channel_number(channel, self._most)
-        name = interface(channel) or _UNNAMED
+        name = interface(channel) or UNNAMED
         return number is not None and self._names.setdefault(number, name) == name

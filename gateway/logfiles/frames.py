@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbc.candump.writer import NotWritableError, Writer
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
@@ -37,6 +38,14 @@ class Sink(Protocol):
         """Complete the file and close it."""
 
 
+def without(block: Block, out: NDArray[np.bool_], counts: Counter[str], cause: str) -> Block:
+    """The block without the frames of a mask (n,), which are counted by this cause."""
+    if not out.any():
+        return block
+    counts[cause] += int(np.count_nonzero(out))
+    return block.pick(~out)
+
+
 def interface(channel: str) -> str:
     """A channel's name for candump; a bare number, as in other formats, gets `can` before it."""
     return f"can{channel}" if channel.isdecimal() else channel
@@ -53,10 +62,7 @@ class Candump:
 
     def add(self, block: Block) -> None:
         """Append frames."""
-        early = block.t_ns < 0
-        if early.any():
-            self.left_out["before_1970"] += int(np.count_nonzero(early))
-            block = block.pick(~early)
+        block = without(block, block.t_ns < 0, self.left_out, "before_1970")
         block = block._replace(names=[interface(name) for name in block.names])
         while block.size:
             try:

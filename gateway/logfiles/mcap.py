@@ -21,13 +21,13 @@ from dbc.frame import Nanos
 from dbc.frames import Block
 from dbc.spec import MessageSpec
 from dbc.text import printable
-from gateway.logfiles.frames import FLAGS, interface
+from gateway.logfiles.channels import UNNAMED
+from gateway.logfiles.frames import FLAGS, interface, without
 from gateway.logfiles.signal_files import MARKS, Comments, decimal, labels_of
 from gateway.logfiles.signals import Decoder, is_exact
 
 LABELS: Final = "labels"
 """Field with the names of named values, beside the signals; a signal of this name replaces it."""
-_UNNAMED: Final = "can0"
 _FRAME: Final = {
     **{name: {"type": "string"} for name in ("channel", "id_hex", "data")},
     **{name: {"type": "integer"} for name in ("id", "dlc")},
@@ -89,11 +89,8 @@ class McapFile(AbstractContextManager["McapFile"]):
 
     def add_frames(self, block: Block) -> None:
         """Add frames, which wait for `flush`."""
-        early = block.t_ns < 0
-        if early.any():
-            self.left_out["before_1970"] += int(np.count_nonzero(early))
-            block = block.pick(~early)
-        names = [interface(name) or _UNNAMED for name in block.names]
+        block = without(block, block.t_ns < 0, self.left_out, "before_1970")
+        names = [interface(name) or UNNAMED for name in block.names]
         self.put(self._of_frames(block, names))
         if self._decoder is not None:
             self.put(self._of_signals(block, names, self._decoder))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX
 from dbc.frames import Block
+from dbc.logs.times import EPOCH
 from dbc.spec import MessageSpec, SignalSpec
 from gateway.logfiles.channels import ChannelNumbers
 from gateway.logfiles.signal_files import Comments, labels_of
 from gateway.logfiles.signals import Decoded, Decoder, is_exact
 
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _BUS, _CAN = 2, 2
 """MF4's numbers for the source type bus and the bus type CAN."""
 _MOST_CHANNEL: Final = 0xFF
@@ -47,7 +47,7 @@ class _Mf4:
         if self._base_ns is None:
             seconds = int(t_ns[0]) // SECOND
             self._base_ns = seconds * SECOND
-            self._mdf.header.start_time = _EPOCH + timedelta(seconds=seconds)
+            self._mdf.header.start_time = EPOCH + timedelta(seconds=seconds)
         return np.asarray((t_ns - self._base_ns) / SECOND, dtype=np.float64)
 
     def _forward(self, key: Any, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from dbc.spec import MessageSpec, SignalSpec
-from gateway.settings.signal_map import UNITS
+from gateway.settings.signal_map import CURRENTS, UNITS, VOLTAGES
 
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _UNIT: Final = re.compile(r"[^a-z0-9/%*]")
@@ -100,8 +100,7 @@ UNITLESS: Final = 0.6
 """Score of a signal for which the file has no unit; a unit that fits adds to it."""
 SURE: Final = 0.9
 """From this score on, both name and unit fit."""
-_FORMS: Final = (("Ia", "Ib", "Ic"), ("Ia", "Ib"), ("Ialpha", "Ibeta"), ("Id", "Iq"))
-_VOLTAGES: Final = (("Ualpha", "Ubeta"), ("Ud", "Uq"))
+_FORMS: Final = (("Ia", "Ib", "Ic"), *CURRENTS)
 
 
 class Guess(NamedTuple):
@@ -173,7 +172,7 @@ def _converted(quantity: str, unit: str) -> tuple[float, float] | None:
 
 def chosen(found: dict[str, list[Guess]]) -> list[Guess]:
     """One signal for each quantity that has a guess: complete forms only, no signal twice."""
-    out = [*_form(found, _FORMS), *_form(found, _VOLTAGES)]
+    out = [*_form(found, _FORMS), *_form(found, VOLTAGES)]
     used = {guess.name for guess in out}
     near = {guess.message.name for guess in out}
     for quantity in ("ElectricalAngle", "Speed", "Torque", "TorqueCommand", "Irms", "Tstator",

@@ -243,13 +243,10 @@ class _Drive:
         before, self._theirs = self._theirs, int(held.value)
         if before is None:
             return 1
-        turn = self._modulus()
-        return min((self._theirs - before) % turn, MOST_STEPS)
-
-    def _modulus(self) -> int:
         source = self.plan.signals.use["Counter"]
         spec = self.plan.codec.by_name[source.message]
-        return 1 << next(s.length for s in spec.signals if s.name == source.name)
+        bits = next(s.length for s in spec.signals if s.name == source.name)
+        return min((self._theirs - before) % (1 << bits), MOST_STEPS)
 
     def _values(self, kind: str, t_ns: Nanos) -> Mapping[str, float | None]:
         if kind == "PhaseCurrents":
@@ -259,9 +256,8 @@ class _Drive:
         if kind == "Motion":
             return {"Speed": self._get("Speed", t_ns), "Torque": self._torque(t_ns)}
         if kind == "Status":
-            command = self._get("TorqueCommand", t_ns) if self._has("TorqueCommand") else None
-            if not self._has("TorqueCommand"):
-                command = self._torque(t_ns)
+            commanded = self._has("TorqueCommand")
+            command = self._get("TorqueCommand", t_ns) if commanded else self._torque(t_ns)
             return {"TorqueCommand": command, "Irms": self._irms(t_ns)}
         return {name: self._get(name, t_ns) for name in CARRIES[kind]}
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable
 from typing import Final
 
 from starlette.requests import HTTPConnection
@@ -45,13 +44,11 @@ class Guard:
         app: ASGIApp,
         access: Access,
         counts: Counter[str],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """counts: of rejected requests. clock: in seconds, for the limit of wrong tokens."""
+        """counts: of rejected requests."""
         self._app = app
         self._access = access
         self._counts = counts
-        self._clock = clock
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """See ASGI."""
@@ -95,7 +92,9 @@ class Guard:
         if scope["type"] == "http" and scope["path"] == "/" and self._access.wants_token:
             given = asked.query_params.get("token") or None
         session = asked.cookies.get(cookie_name(scope), "")
-        refusal = self._access.person(asked.headers, given, session, _address(scope), self._clock())
+        refusal = self._access.person(
+            asked.headers, given, session, _address(scope), time.monotonic()
+        )
         return refusal, given
 
 

@@ -21,32 +21,26 @@ class Expectation(Protocol):
     @property
     def flag(self) -> str:
         """adhesion, thermal, common_mode, comm or sensor."""
-        ...
 
     @property
     def is_(self) -> str:
         """good, bad or unknown."""
-        ...
 
     @property
     def drive(self) -> int | str | None:
         """A node number, `all` or `others` (drives that no event names)."""
-        ...
 
     @property
     def after_s(self) -> float:
         """Seconds from the start of the scenario."""
-        ...
 
     @property
     def within_ms(self) -> float | None:
         """The state must occur within this time after `after_s`; None: at any time."""
-        ...
 
     @property
     def never(self) -> bool:
         """The state must not occur from `after_s` on."""
-        ...
 
 
 class Verdict(NamedTuple):

@@ -33,68 +33,54 @@ class Explained(NamedTuple):
 
 
 _REASONS: Final = {
-    Reason.NONE: (
-        "no flag is `Unknown`",
-        "nothing",
-        "all drives run, and all their messages arrive",
-    ),
+    Reason.NONE: ("nothing", "all drives run, and all their messages arrive"),
     Reason.STARTING: (
-        REASONS[Reason.STARTING],
         "wait; if it lasts after a second of driving, look at `Health` and the motor's parameters",
         "the first 0.2 s after the start; a train at standstill without `Motion`",
     ),
     Reason.STALE: (
-        REASONS[Reason.STALE],
         "check that the drive is powered and on this bus: `candump` shows its identifiers",
         "the drive's CAN connector is off; its messages come ten times slower than the DBC says",
     ),
     Reason.CORRUPTED: (
-        REASONS[Reason.CORRUPTED],
         "check termination, shield, bit rate; if a drive sends no checksum, map it without E2E",
         "a bus with one terminator; a drive that computes another CRC",
     ),
     Reason.SEQUENCE: (
-        REASONS[Reason.SEQUENCE],
         "look for a second sender of these identifiers, and for an overloaded bus",
         "two drives with one node number; a bus load above 90 %",
     ),
     Reason.RANGE: (
-        REASONS[Reason.RANGE],
         "compare units, signs, phase order, pole pairs and flux with the motor's sheet",
         "currents in A/10 that are read as A; phases swapped; a wheel 10 % faster than the others",
     ),
     Reason.NOT_AVAILABLE: (
-        REASONS[Reason.NOT_AVAILABLE],
         "let the drive send the signal, or do not map it; check that the drive is in operation",
         "`TorqueCommand` is 0x7FFF; `State` is Off",
     ),
     Reason.DIVERGED: (
-        REASONS[Reason.DIVERGED],
         "if it recurs, check flux and inductance, then the other parameters; look for late samples",
         "the configured flux is half of the true one",
     ),
     Reason.TOO_FEW_DRIVES: (
-        REASONS[Reason.TOO_FEW_DRIVES],
         "run with more than a tenth of rated torque; let the drives send `TorqueCommand`",
         "the train coasts and slows down; one of two drives is silent",
     ),
     Reason.OVERRUN: (
-        REASONS[Reason.OVERRUN],
         "use `run --realtime` and a dedicated processor; `check` prints the timing budget",
         "another program loads the gateway's processor",
     ),
     Reason.INTRUDER: (
-        REASONS[Reason.INTRUDER],
         "find the node: a second gateway, a tester that replays a log; see `docs/threats.md`",
         "a log that contains the gateway's frames is played onto the bus",
     ),
     Reason.CONFIG: (
-        REASONS[Reason.CONFIG],
         "`traction-gateway calibrate` makes limits for the thermal flags from fault-free logs",
         "a thermal flag without `[thermal] calibration`; a motor whose thermal model did not hold "
         "on held-back logs, or that turns without current",
     ),
 }
+"""Remedy and example; the meanings are `REASONS`."""
 _HEALTH: Final = {
     Health.UNKNOWN: (
         "no estimate for this drive",
@@ -171,7 +157,10 @@ _FAULTS: Final = {
     ),
 }
 _KINDS: Final[tuple[tuple[str, Mapping[Any, tuple[str, str, str]]], ...]] = (
-    ("Reason", _REASONS), ("Health", _HEALTH), ("FaultClass", _FAULTS),
+    ("Reason", {
+        code: (REASONS.get(code, "no flag is `Unknown`"), *rest) for code, rest in _REASONS.items()
+    }),
+    ("Health", _HEALTH), ("FaultClass", _FAULTS),
 )  # fmt: skip
 ALL: Final = tuple(
     Explained(kind, code, Advice(*advice))

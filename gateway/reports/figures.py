@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#999999"
 PURPLE, SKY, YELLOW, DARK = "#CC79A7", "#56B4E9", "#E69F00", "#444444"
 WIDTH_IN: Final = 9.0
-_LEFT_IN, _RIGHT_IN, _GAP_IN, _NAMES_IN = 0.95, 0.15, 0.14, 0.18
+_LEFT_IN, _RIGHT_IN, _FOOT_IN, _GAP_IN, _NAMES_IN = 0.95, 0.15, 0.75, 0.14, 0.18
 LEFT: Final = _LEFT_IN / WIDTH_IN
 RIGHT: Final = 1.0 - _RIGHT_IN / WIDTH_IN
 """Ends of the time axis, as shares of the width of a picture."""
@@ -109,14 +109,14 @@ def styled() -> Iterator[None]:
         yield
 
 
-def panels(wanted: Sequence[Panel], top_in: float = 0.12, foot_in: float = 0.75) -> Any:
+def panels(wanted: Sequence[Panel], top_in: float = 0.12) -> Any:
     """A figure with these panels below one another, on one time axis: (figure, axes)."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     # Sizes are given in inches, because a layout engine draws everything twice.
     gaps = _GAP_IN * (len(wanted) - 1) + _NAMES_IN * sum(p.names for p in wanted)
-    high = top_in + foot_in + sum(p.height for p in wanted) + gaps
+    high = top_in + _FOOT_IN + sum(p.height for p in wanted) + gaps
     figure = Figure(figsize=(WIDTH_IN, high))
     FigureCanvasSVG(figure)
     axes: list[Axes] = []
@@ -193,11 +193,14 @@ def strips(axis: Axes, names: Sequence[str]) -> None:
     axis.spines["left"].set_visible(False)
 
 
-def truth_bars(axis: Axes, row: int, spans: Iterable[Span]) -> None:
+def truth_bars(
+    axis: Axes, row: int, spans: Iterable[Span], high: float = 0.6, color: str = "#bbbbbb"
+) -> None:
     """Draw the true intervals in a row of strips, with black outlines."""
     bars = [(s.start_s, max(s.end_s - s.start_s, 1e-9)) for s in spans]
     if bars:
-        axis.broken_barh(bars, (row - 0.3, 0.6), facecolor="#bbbbbb", edgecolor="black", lw=0.5)
+        box = (row - 0.5 * high, high)
+        axis.broken_barh(bars, box, facecolor=color, edgecolor="black", lw=0.5)
 
 
 def key(good: str = "good", bad: str = "bad", *, truth: bool = False) -> list[Any]:

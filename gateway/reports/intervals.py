@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from gateway.core.codes import SENSOR_FAULTS, FaultClass, FaultSensor, Flag, Reason
 from gateway.core.flags import FlagKind
 from gateway.core.view import DriveView
-from gateway.reports.record import ADHESION, FAULT, NEITHER, camel
+from gateway.reports.record import ADHESION, COMMON, FAULT, NEITHER, camel
 
 if TYPE_CHECKING:
     from gateway.reports.ticks import Ticks
 
 KEPT: Final = 5000
 """Intervals of each kind (flag and state) that are kept; further ones are only counted."""
-COMMON: Final = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NotDetected", Flag.BAD: "AllDrives"}
 BAD: Final = frozenset({"AdhesionLost", "Fault", "AllDrives"})
 OF_DRIVE: Final = ("adhesion", "thermal")
 """Flags in `flags.csv`."""

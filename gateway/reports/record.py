@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
 FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
+COMMON = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NotDetected", Flag.BAD: "AllDrives"}
 Change = tuple[int, int, str, str]
 """Time in ns, node, flag, new state."""
 FLAGS, ESTIMATES = "flags.csv", "estimates.csv"

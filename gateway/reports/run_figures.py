@@ -95,7 +95,7 @@ def train(path: Path, trace: Trace, truth: Truth | None) -> None:
     for axis, flag in zip(axes, ("adhesion", "thermal"), strict=False):
         for row, node in enumerate(nodes):
             spans = _spans(truth, node, flag)
-            _true_frame(axis, row, spans)
+            truth_bars(axis, row, spans, 1.0, "#cccccc")
             strip(axis, row, trace.curve(node, flag), end_s)
         strips(axis, [f"{flag} {node}" for node in nodes])
     if load.known:
@@ -104,13 +104,6 @@ def train(path: Path, trace: Trace, truth: Truth | None) -> None:
     foot(figure, key("good", "bad", truth=truth is not None and bool(truth.events)))
     axes[0].set_xlim(0.0, max(end_s, 1e-3))
     save(figure, path)
-
-
-def _true_frame(axis: Axes, row: int, spans: list[Span]) -> None:
-    """Draw the true intervals as frames behind the strip."""
-    bars = [(s.start_s, max(s.end_s - s.start_s, 1e-9)) for s in spans]
-    if bars:
-        axis.broken_barh(bars, (row - 0.5, 1.0), facecolor="#cccccc", edgecolor="black", lw=0.5)
 
 
 def drive(

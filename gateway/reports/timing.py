@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from gateway.io.timing import Stage
-from gateway.io.whole_file import whole
+from gateway.io.whole_file import write_csv
 
 HEADER: Final = ("stage", "from_us", "below_us", "count")
 _COLUMNS: Final = 2
@@ -30,15 +29,12 @@ def leave(
 def tables(folder: Path, stages: Sequence[Stage], period_ns: int) -> None:
     """Write timing.csv and timing.svg. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    with (
-        whole(folder / "timing.csv") as part,
-        part.open("w", newline="", encoding="utf-8") as file,
-    ):
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(HEADER)
-        for stage in stages:
-            for begin, below, count in stage.octaves:
-                rows.writerow((stage.name, f"{begin / 1e3:.3f}", f"{below / 1e3:.3f}", count))
+    rows = [
+        (stage.name, f"{begin / 1e3:.3f}", f"{below / 1e3:.3f}", count)
+        for stage in stages
+        for begin, below, count in stage.octaves
+    ]
+    write_csv(folder / "timing.csv", [HEADER, *rows])
     _picture(folder / "timing.svg", stages, period_ns)
 
 

@@ -51,17 +51,15 @@ class Curve(NamedTuple):
 
 
 class Envelope:
-    """Rows of (t_s, C columns), merged into bins as they come, in 2 x `most` rows and a chunk."""
+    """Rows of (t_s, C columns), merged into bins as they come, in 2 x `MOST` rows and a chunk."""
 
-    def __init__(self, columns: int, most: int = MOST) -> None:
-        """most: a multiple of `CHUNK`."""
+    def __init__(self, columns: int) -> None:
         self.width = 1
         """Rows in a bin."""
         self.used = 0
-        self._most = most
         self._columns = columns + 1
-        self._low = np.full((most, self._columns), _NAN)
-        self._high = np.full((most, self._columns), _NAN)
+        self._low = np.full((MOST, self._columns), _NAN)
+        self._high = np.full((MOST, self._columns), _NAN)
         self._held: list[Array] = []
         self._rows = 0
         self._open = 0
@@ -95,7 +93,7 @@ class Envelope:
             return
         rows = np.concatenate(self._held)
         if not self._open:
-            while self.used + -(-self._rows // self.width) > self._most:
+            while self.used + -(-self._rows // self.width) > MOST:
                 self._halve()
         per = min(self.width, CHUNK)
         if short := -self._rows % per:

@@ -37,32 +37,26 @@ class Row(Protocol):
     @property
     def t_s(self) -> float:
         """Seconds from the start."""
-        ...
 
     @property
     def drive(self) -> int:
         """Node number."""
-        ...
 
     @property
     def speed_rad_s(self) -> float:
         """Speed of the rotor."""
-        ...
 
     @property
     def load_nm(self) -> float:
         """Torque on the rail, at the rotor."""
-        ...
 
     @property
     def lost(self) -> int:
         """1 while adhesion is lost."""
-        ...
 
     @property
     def fault_class(self) -> int:
         """Number of the fault class in the contract, 1 for no fault."""
-        ...
 
 
 class Event(NamedTuple):

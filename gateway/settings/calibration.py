@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationError
 
-from dbc.bounds import within
+from dbc.bounds import Strict, within
 from dbc.text import read_bytes, read_toml, toml_text
 from dbc.toml_lines import numbered
 from estimators.thermal import model
@@ -22,7 +22,7 @@ from estimators.thermal.monitor import OWN_K, RAISE, Coverage, Known
 from estimators.thermal.promise import Hours, promise_of
 from estimators.tolerance import STORED, Promise
 from gateway.settings.config import Config, ConfigError, check_seal
-from gateway.settings.sections import Adhesion, Strict
+from gateway.settings.sections import Adhesion
 
 POINTS = ("stator", "drive_end", "non_drive_end")
 COVERAGE = Coverage._fields

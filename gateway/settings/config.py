@@ -11,12 +11,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Self
 
-from pydantic import (
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, ValidationError, model_validator
 
+from dbc.bounds import Strict
 from dbc.near_key import did_you_mean
 from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
 from dbc.toml_lines import numbered
@@ -31,7 +28,6 @@ from gateway.settings.sections import (
     Drive,
     Estimator,
     Loop,
-    Strict,
     Thermal,
 )
 

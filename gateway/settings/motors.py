@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final, Self
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import model_validator
 
-from dbc.bounds import Within, within
+from dbc.bounds import Strict, Within, within
 
 TORQUE_RATIO: Final = Within(0.25, 2.5, "", "")
 """T_rated over the torque of the magnets at I_rated: reluctance torque, saturation and a rated
@@ -25,10 +25,8 @@ FRICTION_SPEED_RAD_S: Final = 100.0
 """B times this may not exceed T_rated."""
 
 
-class Motor(BaseModel):
+class Motor(Strict):
     """SI units; noise and thresholds are per unit of the rated values."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     R_s: Annotated[float, within(1e-4, 100, "ohm", "give the resistance of a phase in ohm")]
     L_s: Annotated[float, within(1e-6, 2, "H", "give the inductance of a phase in henry")]

@@ -8,8 +8,6 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
     field_validator,
@@ -17,16 +15,10 @@ from pydantic import (
     model_validator,
 )
 
-from dbc.bounds import within
+from dbc.bounds import Strict, within
 from estimators.adhesion_promise import promise_of
 from estimators.tolerance import STORED, Promise
 from gateway.settings.signal_map import Signals
-
-
-class Strict(BaseModel):
-    """Unknown keys are refused; values are frozen after start."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Extended(Strict):

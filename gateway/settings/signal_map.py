@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from dbc.bounds import within
+from dbc.bounds import Strict, within
 
 Quantity = Literal[
     "Ia", "Ib", "Ic", "Ialpha", "Ibeta", "Id", "Iq", "ElectricalAngle", "Ualpha", "Ubeta", "Ud",
@@ -32,10 +32,8 @@ LEAST_SCALE: Final = 1e-9
 Raw = Annotated[int, within(-(2**63), 2**64 - 1, "", "give the raw value, before scale and offset")]
 
 
-class Source(BaseModel):
+class Source(Strict):
     """Where a quantity comes from; a plain string in TOML is its `signal`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     signal: str = Field(pattern=r"^\w+\.\w+$", description='"Message.Signal" of that DBC')
     scale: Annotated[float, within(-1e6, 1e6, "", "no unit conversion has such a factor")] = 1.0
@@ -70,10 +68,8 @@ class Source(BaseModel):
         return self.signal.partition(".")[2]
 
 
-class Signals(BaseModel):
+class Signals(Strict):
     """`[drive.signals]`: a foreign message set, and which of our quantities its signals are."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     dbc: str = Field(min_length=1, description="file, beside this one")
     id_offset: Annotated[int, within(-(2**29), 2**29, "", "identifiers have up to 29 bits")] = 0

@@ -111,7 +111,6 @@ def infer(
     else:
         priors = [prior] * n
     setup = wires.traffic()
-    one = np.ones((1, 1))
     q = priors if start is None else [start] * n
     history: list[Array] = []
     before = np.full(n, -np.inf)
@@ -119,7 +118,7 @@ def infer(
     for s in range(sweeps):
         own = []
         for i in range(n):
-            r = paper_vb.responsibilities(paper_vb.log_rho(x[None, i : i + 1], q[i]), one)
+            r = paper_vb.responsibilities(paper_vb.log_rho(x[None, i : i + 1], q[i]))
             r1[i] = r[0, 1, 0]
             own.append(pack(paper_vb.moments(x[None, i : i + 1], r, priors[i].m), entropy(r)))
         sums = [unpack(message, D) for message in adder.total(own)]

@@ -89,16 +89,11 @@ class Measured(NamedTuple):
         return math.sqrt(self.square_nm2 / self.loads) if self.loads else math.nan
 
 
-def nothing() -> Measured:
-    """Empty pool, before the first run."""
-    return Measured(
-        Score(), Score(), np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64), 0.0, 0
-    )
-
-
 def pooled(runs: Iterable[Measured]) -> Measured:
     """Pool all runs."""
-    total = nothing()
+    total = Measured(
+        Score(), Score(), np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64), 0.0, 0
+    )
     for run in runs:
         total = total.plus(run)
     return total

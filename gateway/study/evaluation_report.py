@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gateway.io.whole_file import whole, write_text
+from gateway.io.whole_file import write_csv, write_text
 from gateway.study.evaluation import BINS, COLUMNS, Line, reliability, roc, row
 from gateway.study.reproduction_figures import save, subplots
 from gateway.study.thermal_scores import table_of
@@ -67,11 +66,7 @@ def write(folder: Path, title: str, lines: Sequence[Line]) -> list[Path]:
         ("roc.csv", _curves(lines)),
         ("reliability.csv", _bins(lines)),
     ):
-        with (
-            whole(folder / name) as part,
-            part.open("w", newline="", encoding="utf-8") as file,
-        ):
-            csv.writer(file, lineterminator="\n").writerows(rows)
+        write_csv(folder / name, rows)
         written.append(folder / name)
     for name, draw, what in (("roc", _draw_roc, "ROC"), ("reliability", _draw_bins, "Calibration")):
         written += _picture(folder / name, lines, draw, f"{what}: {title}")

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -177,10 +177,6 @@ def one_run(plan: Plan, family: str, seed: int) -> tuple[Measured, ...]:
     return tuple(judge(recording, *fit) for fit in fits)
 
 
-def _task(task: tuple[Plan, str, int]) -> tuple[Measured, ...]:
-    return one_run(*task)
-
-
 def evaluate(
     plan: Plan,
     jobs: int = 1,
@@ -200,7 +196,7 @@ def evaluate(
         for family in plan.families:
             began = time.monotonic()
             results = []
-            for result in run([(plan, family, seed) for seed in plan.seeds]):
+            for result in run(partial(one_run, plan, family), plan.seeds):
                 results.append(result)
                 after_run()
             lines += _lines(plan, family, results)
@@ -208,19 +204,16 @@ def evaluate(
     return lines
 
 
-Run = Callable[[Sequence[tuple[Plan, str, int]]], Iterator[tuple[Measured, ...]]]
-
-
 @contextmanager
-def _workers(jobs: int) -> Iterator[Run]:
-    """Run tasks in this process or in `jobs` processes; results keep the order of the tasks."""
+def _workers(jobs: int) -> Iterator[Callable[..., Iterator[tuple[Measured, ...]]]]:
+    """Yield `map` in this process, or in `jobs` processes; results keep the order of the tasks."""
     if jobs <= 1:
-        yield lambda tasks: map(_task, tasks)
+        yield map
         return
     from gateway.io.workers import workers
 
     with workers(jobs) as pool:
-        yield lambda tasks: pool.map(_task, tasks)
+        yield pool.map
 
 
 def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> list[Line]:

@@ -28,7 +28,7 @@ from sim.physics import plant as columns
 from sim.physics.plant import DT, OUT, Plant
 from sim.profile import Profile
 from sim.scenario import Scenario, parse
-from sim.simulation import ANGLE_STREAM, GRID, Simulation
+from sim.simulation import GRID, Simulation, start_angles
 
 Array = NDArray[np.float64]
 TICKS_PER_S: Final = 100
@@ -185,8 +185,7 @@ def electrical(
     motor, p = scenario.motor.machine, variety.p
     turned = DT * np.cumsum(0.5 * (speed[1:] + speed[:-1]), axis=0)
     out = np.empty((len(turned), scenario.drives, OUT))
-    for d in range(scenario.drives):
-        theta_0 = np.random.default_rng([scenario.seed, ANGLE_STREAM, d]).uniform(0.0, 2.0 * np.pi)
+    for d, theta_0 in enumerate(start_angles(scenario).tolist()):
         theta = theta_0 + motor.pole_pairs * np.concatenate([[0.0], turned[:, d]])
         along = np.exp(1j * theta)
         i_q = torque[:, d] / (motor.k_p * motor.pole_pairs * p.psi_pm[d])

@@ -29,7 +29,7 @@ from sim.physics import plant as columns
 from sim.physics.plant import DT, MOTORS, OUT, Motor
 from sim.profile import Profile
 from sim.scenario import Scenario
-from sim.simulation import ANGLE_STREAM
+from sim.simulation import start_angles
 
 Array = NDArray[np.float64]
 OVERLOAD: Final = 1.5
@@ -153,11 +153,10 @@ def waveforms(scenario: Scenario) -> Array:
     rolling = scenario.motion.start == "rolling"
     out = np.empty((len(t_s), scenario.drives, OUT))
     out[:, :, columns.COMMAND] = (demand + motor.J * w_acc)[:, None]
-    for d in range(scenario.drives):
-        theta = np.random.default_rng([scenario.seed, ANGLE_STREAM, d]).uniform(0.0, 2.0 * math.pi)
+    for d, theta in enumerate(start_angles(scenario).tolist()):
         wanted = w_ref / variety.p.wheel[d]
         w_0 = float(wanted[0]) if rolling else 0.0
-        drive = Drive(motor, variety.p[d], w_0, float(theta), float(load[0, d]))
+        drive = Drive(motor, variety.p[d], w_0, theta, float(load[0, d]))
         for k, (w, nm) in enumerate(zip(wanted.tolist(), load[:, d].tolist(), strict=True)):
             drive.advance(w, nm, out[k, d])
     return out

@@ -6,7 +6,6 @@ Numbers in, rows out. May not know: which simulator and filter made the numbers.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.detect import GLOBAL_ESTIMATES, paper, paper_vb
-from gateway.io.whole_file import whole
+from gateway.io.whole_file import write_csv
 
 Array = NDArray[np.float64]
 
@@ -252,20 +251,16 @@ def _reason(method: str, drive: int, statistic: str, zero_agrees: bool) -> str:
 
 def write_table(path: Path, cells: Sequence[Cell]) -> None:
     """Write `table1.csv`: a row per cell. Raises OSError."""
-    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(
-            (
-                "method", "drive", "statistic", "paper_nm", "ours_nm", "difference_nm",
-                "tolerance_nm", "agrees", "ours_at_sample", "zero_start_nm", "reason",
-            )
-        )  # fmt: skip
-        for c in cells:
-            numbers = (f"{v:.2f}" for v in (c.printed, c.ours, c.difference))
-            out.writerow(
-                (
-                    METHODS[c.method], c.drive, c.statistic, *numbers, f"{c.tolerance:.3f}",
-                    "yes" if c.agrees else "no", "" if c.at is None else c.at,
-                    f"{c.zero_start:.2f}", c.reason,
-                )
-            )  # fmt: skip
+    head = (
+        "method", "drive", "statistic", "paper_nm", "ours_nm", "difference_nm", "tolerance_nm",
+        "agrees", "ours_at_sample", "zero_start_nm", "reason",
+    )  # fmt: skip
+    rows = [
+        (
+            METHODS[c.method], c.drive, c.statistic,
+            *(f"{v:.2f}" for v in (c.printed, c.ours, c.difference)), f"{c.tolerance:.3f}",
+            "yes" if c.agrees else "no", c.at, f"{c.zero_start:.2f}", c.reason,
+        )
+        for c in cells
+    ]  # fmt: skip
+    write_csv(path, [head, *rows])

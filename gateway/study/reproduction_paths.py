@@ -6,7 +6,6 @@ so far. If a path lacks an estimate of any drive, the instant is left out for al
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -14,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.io.whole_file import whole
+from gateway.io.whole_file import write_csv
 from gateway.study import reproduction as table_1
 from gateway.study.reproduction import METHODS, STATISTICS, Table
 from gateway.study.reproduction_loads import rmse
@@ -158,12 +157,11 @@ def _known_from(path: Course) -> int:
 
 def write_paths(path: Path, comparison: Comparison) -> None:
     """Write `table1_paths.csv`: Table 1 of every path, a row per number. Raises OSError."""
-    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(("path", "filter", "method", "drive", "statistic", "value_nm"))
-        for seen in comparison.seen:
-            for m, method in enumerate(METHODS.values()):
-                for d, row in enumerate(seen.table.value[m]):
-                    for name, value in zip(STATISTICS, row.tolist(), strict=True):
-                        cell = f"{round(value, 4) + 0.0:.4f}"
-                        out.writerow((seen.way, seen.belief, method, d + 1, name, cell))
+    rows = [
+        (seen.way, seen.belief, method, d, name, f"{round(value, 4) + 0.0:.4f}")
+        for seen in comparison.seen
+        for method, drives in zip(METHODS.values(), seen.table.value.tolist(), strict=True)
+        for d, row in enumerate(drives, 1)
+        for name, value in zip(STATISTICS, row, strict=True)
+    ]
+    write_csv(path, [("path", "filter", "method", "drive", "statistic", "value_nm"), *rows])

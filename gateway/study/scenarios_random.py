@@ -6,7 +6,7 @@ that was tuned on it. `gateway.study.scenarios_family` has the other kinds of ru
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -64,18 +64,15 @@ def sign(rng: np.random.Generator) -> float:
 def random_scenario(
     seed: int,
     *,
-    drives: int = 3,
-    kind: Literal["preset", "rail"] = "preset",
     healthy: bool = False,
-    noise_var: float = 2e-4,
     motor: str = "bench",
 ) -> Scenario:
     """One run: rolling start with unknown angles, one loss on one drive (none if `healthy`).
 
     Uniform draws: speed 40-250 electrical rad/s and load 8-30 Nm, each of either sign; depth
-    0.2-1, length 0.1-2 s, onset 0.8-1.6 s, linear edges of 0-20 ms, any drive. `kind` is the
-    plant's load: preset (every drive speed controlled) or the creep curve on dry rail. Runs end
-    0.8 s after the loss. Loads and `noise_var` (A^2) are the bench motor's and scale with `motor`.
+    0.2-1, length 0.1-2 s, onset 0.8-1.6 s, linear edges of 0-20 ms, any of three drives, whose
+    speed is controlled under a preset load. Runs end 0.8 s after the loss. Loads and noise are the
+    bench motor's and scale with `motor`.
     """
     unit = PerUnit(motor)
     rng = np.random.default_rng([seed, STREAM])
@@ -85,7 +82,7 @@ def random_scenario(
     length = round(float(rng.uniform(*LENGTH_S)), 4)
     depth = round(float(rng.uniform(*DEPTH)), 4)
     ramp = round(float(rng.uniform(0.0, RAMP_S)), 4)
-    drive = int(rng.integers(1, drives + 1))
+    drive = int(rng.integers(1, 4))
     event: dict[str, Any] = {
         "at_s": onset,
         "for_s": length,
@@ -99,11 +96,11 @@ def random_scenario(
         "title": title if healthy else f"{title}, {depth:.0%} of drive {drive} for {length:.2f} s",
         "seed": seed,
         "duration_s": round(onset + length + TAIL_S, 4),
-        "drives": drives,
+        "drives": 3,
         "motor": {"name": motor},
         "motion": {"speed": round(float(speed), 3)},
-        "load": {"kind": kind, "torque_nm": unit.nm(load)},
-        "sensors": {"current_noise_var": unit.noise(noise_var)},
+        "load": {"kind": "preset", "torque_nm": unit.nm(load)},
+        "sensors": {"current_noise_var": unit.noise(2e-4)},
         "event": [] if healthy else [event],
     }
     return parse(table, f"random {seed}")

@@ -47,7 +47,7 @@ class Kept(NamedTuple):
         return self.alarms <= self.promise.rate * self.hours / 1000.0
 
 
-def split(seed: int, world: str, how: Split, kinds: Sequence[str] = KINDS) -> Kept | None:
+def split(seed: int, world: str, how: Split) -> Kept | None:
     """Results of one train; None with a single motor, which is never judged; a pure function."""
     train, fits = WORLDS[world], FIT_RUNS[BENCH.name]
 
@@ -68,7 +68,7 @@ def split(seed: int, world: str, how: Split, kinds: Sequence[str] = KINDS) -> Ke
     later = list(runs(FIRST + len(held_back), how.judged_h))
     alarms = sum(false_alarms(ThermalMonitor(limited, dt), run) for run in later)
     shared = Shared(healthy)
-    faults = [train(seed, BENCH, kind, fits + 1 + n) for n, kind in enumerate(kinds)]
+    faults = [train(seed, BENCH, kind, fits + 1 + n) for n, kind in enumerate(KINDS)]
     usual, scores = (
         [judge(Watching(by), 0.0, fault, BENCH, shared)[0] for fault in faults]
         for by in (known, limited)
@@ -90,13 +90,9 @@ def false_alarms(monitor: ThermalMonitor, record: Record) -> int:
 def splits(seeds: Sequence[int], world: str, how: Split, jobs: int = 1) -> Iterator[Kept | None]:
     """Yield the results train by train, in order, computed in `jobs` processes."""
     each = partial(split, world=world, how=how)
-    if jobs <= 1:
-        yield from map(each, seeds)
-        return
-    from gateway.io.workers import workers
+    from gateway.io.workers import mapped
 
-    with workers(jobs) as pool:
-        yield from pool.map(each, seeds)
+    return mapped(each, seeds, jobs)
 
 
 def report(found: Sequence[Kept]) -> str:

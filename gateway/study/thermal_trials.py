@@ -258,15 +258,9 @@ def evaluate(
     world: str = "ours",
 ) -> Iterator[list[Trial]]:  # fmt: skip
     """Yield the trials seed by seed, in order, computed in `jobs` processes."""
-    tasks = [(seed, base, tuple(kinds), tuple(methods), world) for seed in seeds]
-    if jobs <= 1:
-        yield from (trials(*task) for task in tasks)
-        return
-    from gateway.io.workers import workers
+    from gateway.io.workers import mapped
 
-    with workers(jobs) as pool:
-        yield from pool.map(_task, tasks)
-
-
-def _task(task: tuple[int, str, tuple[str, ...], tuple[str, ...], str]) -> list[Trial]:
-    return trials(*task)
+    each = functools.partial(
+        trials, base=base, kinds=tuple(kinds), methods=tuple(methods), world=world
+    )
+    return mapped(each, seeds, jobs)

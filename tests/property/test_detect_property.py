@@ -58,21 +58,6 @@ def test_vb_bound_never_falls_within_a_sweep_nor_over_sweeps(problem, sweeps):
 
 
 @UNTIMED
-@given(problems(), st.data())
-def test_an_unusable_drive_is_as_if_it_were_not_there(problem, data):
-    T, N, _ = problem.x.shape
-    usable = np.array(data.draw(st.lists(st.booleans(), min_size=N, max_size=N)))
-    x = problem.x.copy()
-    x[:, ~usable] = np.nan
-    everywhere = np.broadcast_to(usable, (T, N))
-    masked = paper_vb.infer(x, problem.prior, usable=everywhere)
-    without = paper_vb.infer(problem.x[:, usable], problem.prior)
-    assert np.allclose(masked.r1[:, usable], without.r1, atol=1e-9)
-    assert np.allclose(masked.bound, without.bound, rtol=1e-9)
-    assert not masked.r1[:, ~usable].any()
-
-
-@UNTIMED
 @given(problems())
 def test_a_component_without_drives_keeps_its_prior(problem):
     """N_k -> 0: preset the lost component out of reach."""

@@ -12,8 +12,9 @@ from typing import Final, NamedTuple
 from e2e.p02 import e2e_p02_check, e2e_p02_protect
 from e2e.p05 import e2e_p05_check, e2e_p05_protect
 
-from dbc.e2e import Profile, Protected
+from dbc.e2e import Profile
 from dbc.frame import Nanos
+from dbc.spec import MessageSpec
 
 MAX_DELTA: Final = 3
 """Counter steps accepted between two frames: up to two frames may be lost in a row."""
@@ -72,7 +73,7 @@ _IS_OK: Final = tuple(int(check in (Check.OK, Check.OK_SOME_LOST)) for check in 
 _IS_ERROR: Final = tuple(int(check is Check.ERROR) for check in Check)
 
 
-def protect(spec: Protected, payload: bytearray, counter: int) -> None:
+def protect(spec: MessageSpec, payload: bytearray, counter: int) -> None:
     """Write counter (modulo its width) and checksum into the header, in place.
 
     Raises ValueError for a payload shorter than the header.
@@ -91,7 +92,7 @@ def protect(spec: Protected, payload: bytearray, counter: int) -> None:
         e2e_p05_protect(payload, int.from_bytes(spec.data_ids, "big"), increment_counter=False)
 
 
-def crc_ok(spec: Protected, data: bytes | bytearray) -> bool:
+def crc_ok(spec: MessageSpec, data: bytes | bytearray) -> bool:
     """Whether the checksum fits; False for data shorter than the header, True without one."""
     profile = spec.profile
     if profile is Profile.NONE:
@@ -132,7 +133,7 @@ class Receiver:
         "wrong_sequence",
     )
 
-    def __init__(self, spec: Protected) -> None:
+    def __init__(self, spec: MessageSpec) -> None:
         """Start in NO_DATA with an empty window."""
         self._profile = spec.profile
         self._data_ids = spec.data_ids

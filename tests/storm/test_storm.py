@@ -192,7 +192,7 @@ def clear(flags):
 def unknown_clears(monkeypatch):
     def change(made):
         made.after("debounced", lambda made: clear(made.status.drives["flag"]))
-        made.after("adhesion", lambda made: clear(made.adhesion.common_mode))
+        made.after("adhesion", lambda made: clear(made.adhesion.record["common_mode"]))
 
     built(monkeypatch, change)
 

@@ -142,10 +142,11 @@ class Both:
             (core.responses, plain.responses), (core.ratios, plain.differences.drives),
             (core.response_ratios, plain.own.drives),
             (core.record["spread"], plain.differences.all),
-            (core.record["response_spread"], plain.own.all), (core.common_mode, plain.flag),
+            (core.record["response_spread"], plain.own.all),
+            (core.record["common_mode"], plain.flag),
             (core.normalised, plain.normalised), (core.sigma, plain.sigma),
             (core.known, plain.known), (core.loss_probability, plain.lost),
-            (core.loss_known, plain.lost_known), (core.severe, plain.severe),
+            (core.loss_known, plain.lost_known), (core.loads["severe_loss"], plain.severe),
             (core.loads["command_ratio"], plain.ratio),
             (core.loads["unknown_s"], plain.unknown_s),
             (core.loads["known_since_ns"], plain.known_ns),
@@ -160,7 +161,7 @@ class Both:
         flag = self.status["flag"][:, FlagKind.ADHESION]
         flag["since_ns"][flag["state"] != wanted] = now
         flag["state"] = wanted
-        return tuple(wanted.tolist()), self.core.common_mode["state"].item()
+        return tuple(wanted.tolist()), self.core.record["common_mode"]["state"].item()
 
 
 def copied(told):
@@ -200,9 +201,9 @@ def test_anything(n, ticks, detector):
     rng, both = np.random.default_rng(n), Both(([BENCH_MOTOR, OTHER] * n)[:n], detector=detector)
     for tick, given in enumerate(anything(rng, n, ticks)):
         if tick % 7 == 0:
-            both.core.unreliable_until_ns[:] = both.plain.rotors["unreliable_until_ns"] = (
-                tick + rng.integers(0, 20, n)
-            ) * TICK
+            until_ns = (tick + rng.integers(0, 20, n)) * TICK
+            for rotors in (both.core.rotors, both.plain.rotors):
+                rotors["unreliable_until_ns"] = until_ns
         opinion = both.tick(given, tick * TICK, rng.random(n) < 0.9)
         if rng.random() < 0.7:
             both.decide(opinion, tick * TICK)
@@ -326,7 +327,7 @@ def test_a_copy_goes_on_alone(detector):
         both.tick(one, tick * TICK)
     for name in ("rotors", "responses", "ratios", "loads", "loss_probability"):
         same_numbers(getattr(twin, name), getattr(done, name))
-    twin.uncertain[:] = 7
+    twin.rotors["uncertain"][:] = 7
     assert twin.rotors["uncertain"].tolist() == [7] * N
     assert 7 not in done.rotors["uncertain"]
 
@@ -362,7 +363,7 @@ def test_what_nothing_is_known_of_is_not_judged():
     opinion = detect(both.core, told.estimates, inputs.statuses(N), both.drives, both.status, 0)
     assert not opinion.known.any()
     assert opinion.common == 0.0
-    assert (both.core.unreliable_until_ns == NEVER).all()
+    assert (both.core.rotors["unreliable_until_ns"] == NEVER).all()
     assert math.isnan(both.core.record["common_smoothed"].item())
 
 
@@ -372,9 +373,9 @@ def test_rotors_have_the_ratings_of_their_motors():
     assert core.rotors["motor"].tolist() == [0, 1, 0]
     rated = BENCH_MOTOR.T_rated
     assert core.rotors["rated_nm"].tolist() == [rated, 2.0 * rated, rated]
-    core.unreliable_until_ns[1], core.rotors["uncertain"][2] = 7, 1
+    core.rotors["unreliable_until_ns"][1], core.rotors["uncertain"][2] = 7, 1
     assert core.rotors["unreliable_until_ns"].tolist() == [NEVER, 7, NEVER]
-    assert core.uncertain.tolist() == [0, 0, 1]
+    assert core.rotors["uncertain"].tolist() == [0, 0, 1]
     assert round(lib.LEARN_PERIOD_S * 1000) == reference.LEARN_NS // MS
 
 

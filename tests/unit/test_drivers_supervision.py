@@ -209,17 +209,7 @@ def test_emergencies_are_kept_per_node_with_their_parts(watch):
     assert watch.observe(emcy(1, 0x4210, 7, 0x09))
     (entry,) = watch.emcy[1].recent
     assert entry == (7, 0x4210, 0x09, b"maker")
-    assert watch.emcy[1].active == (0x4210,)
     assert watch.emcy[2].received == 0
-
-
-def test_a_reset_clears_the_active_errors(watch):
-    for code in (0x4210, 0x2310, 0x4210):
-        watch.observe(emcy(2, code))
-    assert watch.emcy[2].active == (0x4210, 0x2310)
-    watch.observe(emcy(2, 0x0000, register=0))
-    assert watch.emcy[2].active == ()
-    assert watch.emcy[2].received == 4
 
 
 def test_an_emergency_storm_costs_no_memory(watch):
@@ -229,5 +219,3 @@ def test_an_emergency_storm_costs_no_memory(watch):
     assert log.received == 20_000
     assert len(log.recent) == 16
     assert log.recent[-1].code == 0x1000 + 19_999 % 5000
-    assert len(log.active) == 16
-    assert log.unlisted == 20_000 - 4 * 16

@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 import pytest
+from _traction_core import lib
 from scipy.stats import chi2
 
 from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, THETA_E, W_E
-from gateway.core.estimate import SETTLE_STEPS
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
 from tests.core_calls.filters import sweep
@@ -102,7 +102,7 @@ def nominal_windows(kind):
     runs = [[] for _ in NODES]
     windows = []
     for tick in range(1, LOOP_TICKS + 1):
-        tracked = [core.bank.filters.steps[d] >= SETTLE_STEPS for d in range(len(NODES))]
+        tracked = [core.bank.filters.steps[d] >= lib.FILTER_SETTLE_STEPS for d in range(len(NODES))]
         core.step(honest.sent(tick), tick * TICK)
         drive = last_samples(core.inbox).drive
         nis = core.bank.samples.nis[: len(drive)]

@@ -284,6 +284,6 @@ def test_an_open_phase_is_invalid_input():
     drives.status["speed_rad_s"] = 0.0
     drives.estimates["health"], drives.estimates["load_nm"] = Health.TRACKING, 20.0
     drives.observe(TICK)
-    assert drives.implausible.tolist() == [1]
+    assert drives.motions["implausible"].tolist() == [1]
     assert drives.estimates["health"].tolist() == [Health.INPUT_INVALID]
     assert np.isnan(drives.estimates["load_nm"]).all()

@@ -294,25 +294,26 @@ def test_a_step_of_a_sensor_is_a_jump_and_blocks_are_observed():
         bus.lost[:], bus.off[:], bus.gone[:], bus.held[:] = False, 0.0, False, False
         if tick % 500 == 7:
             model.motors["step"]["offset_k"][tick // 500 % 3, 0] = tick % 1000
-        cycles, position, held = side.cycles, model.position, model.motors["held"] != 0
+        cycles, position = side.record["cycles"].item(), model.record["position"].item()
+        held = model.motors["held"] != 0
         side.hear(bus.inbox, bus.now, inputs)
-        if side.cycles == cycles or side.last is None:
-            assert model.position == position
+        if side.record["cycles"].item() == cycles or side.last is None:
+            assert model.record["position"].item() == position
             continue
         seconds += 1
         jumps += (model.offsets != steps).any(axis=1)
         steps = model.offsets.copy()
-        if model.position == 0:
+        if model.record["position"].item() == 0:
             blocks += 1
             beside = np.nanmean(model.motors["off_k"] + model.motors["base_k"], axis=1)
-            trend.take(np.where(held, np.nan, beside), model.block_s / 3600.0)
+            trend.take(np.where(held, np.nan, beside), (model.block * model.dt_s) / 3600.0)
             # What the block was compared with may have been learnt anew since, in the same tick.
             np.testing.assert_allclose(side.motors["trend"]["level_k"], trend.level, atol=1e-3)
     assert side.motors["jumps"].tolist() == inputs["jumps"].tolist() == jumps.tolist()
     assert (jumps >= 2).all()
-    assert seconds == side.cycles // 10
+    assert seconds == side.record["cycles"].item() // 10
     assert (model.motors["judged"] > 0).any()
-    observed = side.motors["trend"]["observed_h"] / (model.block_s / 3600.0)
+    observed = side.motors["trend"]["observed_h"] / ((model.block * model.dt_s) / 3600.0)
     assert blocks > 3
     assert 0 < observed.max() <= blocks + 1e-9
 

@@ -20,9 +20,9 @@ def whole(log, config, codec):
 
     def note(now, _, gateway):
         side = gateway.thermal
-        if side.cycles == seen[0]:
+        if side.record["cycles"].item() == seen[0]:
             return
-        seen[0], sensor = side.cycles, side.sensors.drives["sensor"]
+        seen[0], sensor = side.record["cycles"].item(), side.sensors.drives["sensor"]
         columns = (
             side.record["second_complete"][0], sensor["value_c"], side.window.mean,
             side.window.known, now - sensor["changed_ns"], side.motors["mean"],

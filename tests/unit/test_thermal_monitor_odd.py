@@ -194,7 +194,7 @@ def closed(blocks):
     for block in blocks:
         each = block + 7.0 * np.arange(3)[:, None]
         one.motors["raw"][0, :, : one.block] = one.motors["block"][0, :, : one.block] = each
-        one.close_block()
+        lib.thermal_monitor_close_block(one.pointer)
         one.record["waiting"] = 0
         out.append(one.motors["bursts"][0, 0])
     return out
@@ -251,14 +251,14 @@ def test_without_readings_a_block_says_nothing_and_with_half_of_them_it_has_a_me
     one.config["block"] = 15
     for readings, median in ((8, 2.0), (7, np.nan)):
         one.motors["block"][0, 0, :readings], one.motors["block"][0, 0, readings:] = 2.0, np.nan
-        one.close_block()
+        lib.thermal_monitor_close_block(one.pointer)
         np.testing.assert_equal(one.motors["middle_k"][0, 0], median)
 
 
 def test_who_is_compared_with_others_than_before_may_stand_as_much_elsewhere():
     fleet, level = levels()
     before, fleet.motors["held"][3] = fleet.motors["imm"]["cov"].copy(), True
-    fleet.close_block()
+    lib.thermal_monitor_close_block(fleet.pointer)
     for m in range(4):
         every = [n for n in range(4) if n != m]
         medians = [np.median(level[some], axis=0) for some in (every, [n for n in every if n < 3])]
@@ -273,7 +273,7 @@ def levels():
     """Four motors in their first block, each off its model in its own way; (4, 3) K by how far."""
     fleet, level = train(4), np.random.default_rng(6).standard_normal((4, 3))
     fleet.motors["block"][:, :, :16] = level[:, :, None]
-    fleet.close_block()
+    lib.thermal_monitor_close_block(fleet.pointer)
     fleet.motors["judged"] = 1
     return fleet, level
 
@@ -284,11 +284,11 @@ def test_while_a_sensor_is_tested_for_a_step_the_others_are_compared_with_its_la
     fleet.motors["step"]["since"][3, 0] = 0
     fleet.motors["block"][3, 0] = np.nan
     for _ in range(int(60 // DT)):
-        fleet.close_block()
+        lib.thermal_monitor_close_block(fleet.pointer)
         np.testing.assert_array_equal(fleet.motors["off_k"][:3], off[:3])
         np.testing.assert_array_equal(fleet.motors["off_k"][3], [np.nan, *off[3, 1:]])
         np.testing.assert_array_equal(fleet.motors["imm"]["cov"], cov)
-    fleet.close_block()
+    lib.thermal_monitor_close_block(fleet.pointer)
     assert (fleet.motors["off_k"][:3, 0] != off[:3, 0]).all(), "it has been away for too long"
 
 
@@ -298,10 +298,10 @@ def test_beside_a_sensor_that_goes_or_comes_the_others_may_stand_elsewhere(retur
     values = fleet.motors["block"][3, 0].copy()
     before = fleet.motors["imm"]["cov"].copy()
     fleet.motors["block"][3, 0] = np.nan
-    fleet.close_block()
+    lib.thermal_monitor_close_block(fleet.pointer)
     if returns:
         before, fleet.motors["block"][3, 0] = fleet.motors["imm"]["cov"].copy(), values
-        fleet.close_block()
+        lib.thermal_monitor_close_block(fleet.pointer)
     winding = model.MEASURED[0]
     for m in range(3):
         every = [n for n in range(4) if n != m]
@@ -317,7 +317,7 @@ def test_beside_a_motor_that_has_started_anew_the_others_may_stand_elsewhere():
     before = fleet.motors["imm"]["cov"].copy()
     fleet.motors["judged"][3] = 0
     fleet.motors["block"][3, 0, :16] = level[3, 0] + 9.0
-    fleet.close_block()
+    lib.thermal_monitor_close_block(fleet.pointer)
     changed = np.array([*level[:3, 0], level[3, 0] + 9.0])
     for m in range(3):
         every = [n for n in range(4) if n != m]
@@ -393,7 +393,7 @@ def test_a_block_closes_with_medians_and_what_bursts_make_likely():
     fleet = train(motors)
     fleet.motors["raw"][:, :, :together], fleet.motors["block"][:, :, :together] = raw, block
     fleet.motors["base_k"], fleet.motors["held"] = base, np.arange(motors) == 1
-    fleet.close_block()
+    lib.thermal_monitor_close_block(fleet.pointer)
     middle, off, odds = (fleet.motors[name] for name in ("middle_k", "off_k", "bursts"))
     want = np.nanmedian(block, axis=2)
     want[2, 1] = np.nan

@@ -107,7 +107,7 @@ def state(gateway):
         gateway.flags.inputs, gateway.inputs.status, bank.filters, bank.tracks, bank.chords,
         bank.sensors, bank.estimates, motion.motions, motion.checks, motion.others, motion.noted,
         adhesion.responses, adhesion.ratios, adhesion.response_ratios, adhesion.rotors,
-        adhesion.loads, adhesion.common_mode, receiver.channels, receiver.drives,
+        adhesion.loads, adhesion.record["common_mode"], receiver.channels, receiver.drives,
         receiver.counters, gateway.supervision.heartbeats, gateway.thermal.motors,
         *gateway.thermal.window, *gateway.status, gateway.integrity.record,
         *(gateway.outbox.messages[name] for name in ("next_ns", "counter")),
@@ -120,7 +120,8 @@ def state(gateway):
     thermal = gateway.thermal
     numbers += [thermal.record[name].tolist() for name in ("next_ns", "cycles", "cycle", "dirty")]
     if thermal.model is not None:
-        numbers += [thermal.model.motors.tolist(), thermal.model.position, thermal.model.waiting]
+        model = thermal.model
+        numbers += [model.motors.tolist(), model.record["position"].item(), model.waiting]
     load = gateway.load.record
     one = [repr(load["busy_s"]), repr(load["percent"]), gateway.changed]
     return {
@@ -172,7 +173,7 @@ def test_the_thermal_model_is_the_same_either_way(seed, between):
 
 def test_without_a_calibration_it_is_the_same():
     gateway = same(config_of(calibration=None), train(), 4, 1000, 120.0)
-    assert gateway.thermal.cycles > 90
+    assert gateway.thermal.record["cycles"] > 90
 
 
 @pytest.mark.parametrize("room", [30, 0])

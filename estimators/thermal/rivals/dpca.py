@@ -140,7 +140,7 @@ def _raw(record: Record, kind: str, start: Array) -> Array:
 
 
 def usual(temperature: Array) -> Array:
-    """(M, 3) mean of each channel's readings; without readings, the mean of all channels, or 0."""
+    """Mean of each channel's readings, (M, 3) or (N,); without any: of all channels, or 0."""
     known = np.isfinite(temperature)
     count = known.sum(axis=0)
     total = np.where(known, temperature, 0.0).sum(axis=0)

@@ -27,7 +27,7 @@ from _traction_core import ffi, lib
 
 from estimators._core import pointer, records
 from estimators.thermal.record import Array, Record
-from estimators.thermal.rivals.dpca import TINY, Scorer, moving, span
+from estimators.thermal.rivals.dpca import TINY, Scorer, moving, span, usual
 
 LOSSES = np.geomspace(1.0 / 14_400.0, 1.0 / 120.0, 24)
 """Heat losses that are tried, 1/s: time constants from four hours to two minutes."""
@@ -129,11 +129,9 @@ class Lumped(NamedTuple):
         losses, gain, by_speed, offset, spread, noise = found.T
         gain = np.maximum(gain, 1e-12)
         ambient = float(healthy.ambient.mean())
-        known = np.isfinite(reading)
-        total = np.where(known, reading, 0.0).sum(axis=0)
-        usual = np.where(lost, ambient, total / np.maximum(known.sum(axis=0), 1))
+        mean = np.where(lost, ambient, usual(reading))
         unrest = np.maximum(spread - noise, 1e-4)
-        return cls(gain, losses, by_speed / gain, offset, unrest, noise, usual)
+        return cls(gain, losses, by_speed / gain, offset, unrest, noise, mean)
 
 
 def _bounded(table: Array, wanted: Array, lower: Array) -> Array:

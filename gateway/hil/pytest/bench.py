@@ -12,7 +12,7 @@ from dbc.codec import Codec
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.hil.pytest.flags import GatewayFlags
 from gateway.hil.pytest.inverter import Inverter
-from gateway.hil.pytest.world import Alter, BusWorld, Tick, VirtualWorld, World, unaltered
+from gateway.hil.pytest.world import Alter, BusWorld, Tick, VirtualWorld, unaltered
 from gateway.settings.config import Config
 from sim.scenario import Scenario
 from sim.simulation import Simulation
@@ -54,7 +54,7 @@ class HilBench:
             config = config if mutant.settings is None else mutant.settings(config)
             alter = Altered(mutant, codec, config.nodes)
         simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=not own)
-        self._world: World
+        self._world: VirtualWorld | BusWorld
         if bus is None:
             self._world = VirtualWorld(simulation, config, codec, alter)
         else:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Final, Protocol
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final
 
-from dbc.codec import Codec
-from dbc.frame import MS, Frame, Nanos
+from dbc.frame import MS, Nanos
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
 from gateway.reports import known
 from gateway.reports.expectations import WORDS, FlagTrack
 from gateway.reports.scoring import first
+
+if TYPE_CHECKING:
+    from gateway.hil.pytest.bench import HilBench
 
 SHOWN_NS: Final[Nanos] = 300 * MS
 """Time that a picture shows before the test began to wait."""
@@ -20,29 +22,10 @@ OF_THE_SET: Final = ("common_mode", "comm", "sensor")
 """Flags of the whole train; all others belong to a drive."""
 
 
-class Stage(Protocol):
-    """The part of a bench that flags need: its frames, its time, and a way to let time pass."""
-
-    codec: Codec
-    nodes: tuple[int, ...]
-    now_ns: Nanos
-
-    @property
-    def frames(self) -> Sequence[Frame]:
-        """The last frames on the bus, oldest first."""
-
-    @property
-    def lost(self) -> Mapping[int, Sequence[tuple[Nanos, bool]]]:
-        """Ground truth by node: stamps, and whether adhesion was lost."""
-
-    def run_until(self, met: Callable[[], bool], within_s: float) -> bool:
-        """Let time pass until `met()`, at most `within_s`; return whether it was met."""
-
-
 class GatewayFlags:
     """Flags on the bus. An `expect_..` lets time pass until it is met, or fails with a picture."""
 
-    def __init__(self, bench: Stage) -> None:
+    def __init__(self, bench: HilBench) -> None:
         """Made by the bench."""
         self._bench = bench
         self.track = FlagTrack(bench.codec, bench.nodes)

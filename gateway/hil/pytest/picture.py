@@ -11,6 +11,7 @@ from gateway.core.codes import Flag
 
 WIDTH: Final = 64
 """Columns of the strip."""
+_WORST_LAST: Final = (Flag.GOOD, Flag.UNKNOWN, Flag.BAD)
 SIGNS: Final = {Flag.UNKNOWN: "?", Flag.GOOD: "-", Flag.BAD: "#"}
 
 
@@ -35,12 +36,8 @@ def strip(points: Sequence[tuple[Nanos, Flag]], first: Nanos, last: Nanos) -> st
                 seen = [points[k][1]]
             state = points[k][1]
             k += 1
-        out.append(SIGNS[max(seen, key=_rank)] if seen else " ")
+        out.append(SIGNS[max(seen, key=_WORST_LAST.index)] if seen else " ")
     return "".join(out)
-
-
-def _rank(flag: Flag) -> int:
-    return (Flag.GOOD, Flag.UNKNOWN, Flag.BAD).index(flag)
 
 
 def axis(first: Nanos, last: Nanos) -> str:

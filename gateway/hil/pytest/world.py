@@ -6,7 +6,7 @@ Both return, tick by tick, the frames of the drives and those of the gateway.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
@@ -37,24 +37,6 @@ def unaltered(frames: list[Frame], _now: Nanos) -> list[Frame]:
     return frames
 
 
-class World(Protocol):
-    """Drives, gateway and the bus between them."""
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulated drives."""
-
-    @property
-    def period_ns(self) -> Nanos:
-        """Period of the gateway's loop."""
-
-    def step(self) -> Tick:
-        """Advance by one period."""
-
-    def close(self) -> None:
-        """Leave the bus."""
-
-
 class VirtualWorld:
     """The bench on a virtual clock: as fast as the machine allows, the same on every run."""
 
@@ -70,7 +52,7 @@ class VirtualWorld:
         self._sent: list[Frame] = []
 
     def step(self) -> Tick:
-        """See World."""
+        """Advance by one period."""
         now, self._now = self._now, self._now + self.period_ns
         came = self.simulation.step(self._sent, now)
         self._sent = self._alter(self._core.step(came, now), now) + self._node.step(came, now)
@@ -112,7 +94,7 @@ class BusWorld:
         self._start: Nanos | None = None
 
     def step(self) -> Tick:
-        """See World."""
+        """Advance by one period."""
         now = self._ticker.wait().now_ns
         if self._start is None:
             self._start = now
@@ -142,7 +124,7 @@ class BusWorld:
             self._theirs.send(frame)
 
     def close(self) -> None:
-        """See World."""
+        """Leave the bus."""
         self._bus.close()
         if self._core is not None:
             self._theirs.close()

@@ -19,7 +19,7 @@ from gateway.monitor.model.snapshot import Trace
 
 # Colours of Okabe and Ito: distinct for any kind of colour vision, also in grey.
 GREEN, VERMILION, ORANGE = "#009E73", "#D55E00", "#E69F00"
-SKY, GREY, YELLOW = "#56B4E9", "#9A9A9A", "#F0E442"
+SKY, GREY = "#56B4E9", "#9A9A9A"
 
 _EIGHTHS: Final = " ▁▂▃▄▅▆▇█"
 _SHADE: Final = "░"

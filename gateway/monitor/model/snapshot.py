@@ -12,9 +12,7 @@ from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 from gateway.core.codes import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
-from gateway.reports.record import ADHESION, FAULT, camel
-
-COMMON: Final = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NotDetected", Flag.BAD: "AllDrives"}
+from gateway.reports.record import ADHESION, COMMON, FAULT, camel
 
 
 class DriveRow(NamedTuple):
