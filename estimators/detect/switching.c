@@ -314,13 +314,22 @@ static void learn(struct switching *s)
         centre(&s->hypotheses[k], drives_of(s->drives, s, k), s->n);
 }
 
-/* If most loads are meaningless for long, what has been learnt is wrong, (S21): for example because
- * of a loss that existed before anything was known. Then restart. */
+/* 1 if the load of drive i contradicts the model: it belongs to no state, or the drive counts as
+ * lost and carries what its own command asks for. */
+static int contradicts(const struct switching *s, int i)
+{
+    const int neither = s->adhering[i] + s->lost[i] < 0.5;
+    const int accused = s->loads[i].answers && s->lost[i] >= 0.5;
+    return s->loads[i].known && (neither || accused);
+}
+
+/* If most loads contradict the model for long, what has been learnt is wrong, (S21): for example
+ * because of a loss that existed before anything was known. Then restart. */
 static void begin_anew_if_contradicted(struct switching *s, int known)
 {
     int nothing = 0;
     for (int i = 0; i < s->n; i++)
-        nothing += s->loads[i].known && s->adhering[i] + s->lost[i] < 0.5;
+        nothing += contradicts(s, i);
     s->contradicted = 2 * nothing > known ? s->contradicted + 1 : 0;
     if (s->contradicted >= ANEW_STEPS)
         set_unknown(s);

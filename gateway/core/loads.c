@@ -15,8 +15,9 @@
 #include "gateway/core/rotors.h"
 
 #define COASTING 0.05 /* share of rated torque; smaller commands are not compared with each other */
-#define RATIO_FLOOR   0.2 /* least divisor of a load */
-#define RATIO_UNKNOWN 0.1 /* a drive with a smaller command carries too little to be compared */
+#define ASKED_TAU_S   10.0 /* time constant with which the largest command is forgotten */
+#define RATIO_FLOOR   0.2  /* least divisor of a load */
+#define RATIO_UNKNOWN 0.1  /* a drive with a smaller command carries too little to be compared */
 /* Drives. With fewer, a sudden loss is recognised by the speed of the rotor. With more, if the
  * loads of all fall, this may be a load step of the train, and the next commands decide. */
 #define ENOUGH_TO_COMPARE 2
@@ -45,8 +46,10 @@ static double median_load(const struct adhesion *a, int64_t now_ns)
 }
 
 /* Find drives that follow their own flag: down to 30 % of the torque and back. */
-static void find_derating(struct adhesion *a, const struct drive_status *status, int64_t now_ns)
+static void find_derating(struct adhesion *a, const struct drive_input *drives,
+                          const struct drive_status *status, int64_t now_ns)
 {
+    const double kept = 1.0 - smaller(a->tick_s / ASKED_TAU_S, 1.0);
     for (int k = 0; k < a->n; k++) {
         const struct flag *flag = &status[k].flag[FLAG_ADHESION];
         struct drive_load *mine = &a->loads[k];
@@ -54,6 +57,9 @@ static void find_derating(struct adhesion *a, const struct drive_status *status,
         mine->derating_active = bad || elapsed(flag->since_ns, now_ns) < DERATING_NS;
         if (bad)
             mine->flagged_ns = now_ns;
+        const double asked =
+            a->rotor_inputs[k].command_valid ? relative_command(a, drives, k) : 0.0;
+        mine->most_asked = larger(asked, kept * mine->most_asked);
     }
 }
 
@@ -139,7 +145,7 @@ void relate_loads(struct adhesion *a, const struct drive_estimate *estimates,
                   const struct drive_input *drives, const struct drive_status *status,
                   int64_t now_ns)
 {
-    find_derating(a, status, now_ns);
+    find_derating(a, drives, status, now_ns);
     relate_commands(a, drives, now_ns);
     const int alone = find_known(a, estimates) < ENOUGH_TO_COMPARE;
     for (int k = 0; k < a->n; k++) {

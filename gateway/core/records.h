@@ -1525,6 +1525,7 @@ struct drive_load {
     double sigma;         /* standard deviation of `load`, as estimated; 0: not known */
     double command_ratio; /* torque command over the largest of all drives, if the drive obeys it */
     double asked_ratio;   /* the same, obeyed or not; at least RATIO_FLOOR */
+    double most_asked;    /* the largest command of the last seconds, per unit */
     double p_response;    /* probability of a loss by the response to its own command */
     double last_speed;   /* speed in the tick before, rad/s; NaN unless the drive is judged alone */
     double last_spin_up; /* torque that accelerated the rotor in the tick before */
@@ -1892,14 +1893,15 @@ struct switching_hypothesis {
 
 /* Load of one drive in this step. */
 struct switching_load {
-    double load;    /* load of the drive */
-    double gain;    /* the learnt noise counts (1 + gain) times: a scaled load has more */
-    double error;   /* standard deviation of known errors other than noise */
-    double sigma;   /* estimated standard deviation of the load: its noise until that is learnt */
-    uint8_t known;  /* 1: `load` is a number */
-    uint8_t apart;  /* 1: its wheel runs apart from the others and is no measure for them */
-    uint8_t unsure; /* 1: its wheel may not adhere: nothing is learnt from it */
-    uint8_t source; /* 0: load of the filter, 1: of the observer; each has its own noise */
+    double load;     /* load of the drive */
+    double gain;     /* the learnt noise counts (1 + gain) times: a scaled load has more */
+    double error;    /* standard deviation of known errors other than noise */
+    double sigma;    /* estimated standard deviation of the load: its noise until that is learnt */
+    uint8_t known;   /* 1: `load` is a number */
+    uint8_t apart;   /* 1: its wheel runs apart from the others and is no measure for them */
+    uint8_t unsure;  /* 1: its wheel may not adhere: nothing is learnt from it */
+    uint8_t source;  /* 0: load of the filter, 1: of the observer; each has its own noise */
+    uint8_t answers; /* 1: it carried what it was asked for, in the tick before */
 };
 
 /* Noise of one drive's load around its expected value. */

@@ -22,6 +22,8 @@
 #define GRIPS     0.5  /* least probability of adhering for `Adhering` */
 #define DOUBTED   0.1  /* largest probability of a loss for it, unless the flag is bad: */
                        /* at the end of a loss the probability is late, not wrong */
+#define ANSWERS 0.1    /* largest probability of a deficit of a drive that carries what is asked */
+#define FULL_COMMAND 0.9 /* share of the largest command of the last seconds */
 #define COUNTS 0.5 /* least probability of adhering of a drive that counts, and of a loss of them */
 #define ACCUSED 0.7
 /* Common load, per unit of rated torque, from which the comparison alone is evidence of a loss:
@@ -56,6 +58,15 @@ static double command_error(const struct adhesion *a, int k, double load)
     return fabs(load) * clamp(moved / mine->asked_ratio, 0.0, RETURN_MOST);
 }
 
+/* 1 if drive k certainly carries what it is asked for, and that is as much as a while ago: a
+ * sliding wheel may carry the torque to which its drive has reduced the command. */
+static int answers(const struct adhesion *a, int k)
+{
+    const struct drive_load *mine = &a->loads[k];
+    const int full = fabs(a->responses[k].command) >= FULL_COMMAND * mine->most_asked;
+    return full && mine->response_valid && mine->p_response <= ANSWERS;
+}
+
 /* 1 if some drive has neither run away nor gripped again just now: it is a measure for others. */
 static int any_measure(const struct adhesion *a)
 {
@@ -79,6 +90,7 @@ void compare_by_memory(struct adhesion *a)
         in->error = command_error(a, k, in->load);
         in->sigma = a->loads[k].sigma;
         in->source = a->loads[k].by_observer;
+        in->answers = (uint8_t)answers(a, k);
         in->apart = a->rotors[k].away || (measured && a->loads[k].regripped_s > 0.0);
         in->unsure = a->rotors[k].away || a->rotors[k].uncertain;
         count += a->known[k] != 0;
@@ -168,6 +180,10 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
     /* A wheel that has run away and stays behind its command, however slowly that developed. */
     if (a->rotors[k].away && mine->response_valid)
         p = larger(p, mine->p_response);
+    /* If no drive adheres, the demand may be anything: then a drive that carries what it is asked
+     * for adheres. */
+    if (!any && answers(a, k))
+        return mine->p_response;
     const int behind = mine->response_valid && mine->p_response >= a->rules->raise_probability;
     if (p >= a->rules->raise_probability && !any && !behind) {
         *uncertain = 1;

@@ -80,7 +80,7 @@ class Adhesion:
         self.flag = np.zeros(1, FLAG)
         self.ratio, self.load, self.asked = np.ones(n), np.zeros(n), np.ones(n)
         self.flagged_ns, self.known_ns, self.held_s = [NEVER] * n, [NEVER] * n, [0.0] * n
-        self.unknown_s = [0.0] * n
+        self.unknown_s, self.most_asked, self.carried = [0.0] * n, np.zeros(n), np.zeros(n, bool)
         self.speed, self.gain = [math.nan] * n, [0.0] * n
         self.any_flagged_ns = self.learn_ns = NEVER
         self.smoothed, self.comparable = math.nan, False
@@ -143,6 +143,8 @@ class Adhesion:
         self.derating = bad | (now < since_ns + DERATING_NS)
         self.flagged_ns = [now if b else t for b, t in zip(bad, self.flagged_ns, strict=True)]
         asked = np.abs(slow.command) / rated
+        forgotten = self.most_asked * (1.0 - min(self.tick_s / 10.0, 1.0))
+        self.most_asked = np.maximum(np.where(fresh, asked, 0.0), forgotten)
         largest = max([0.0, *asked[fresh].tolist()])
         self.ratio[:] = self.asked[:] = 1.0
         if largest > COASTING:
@@ -207,6 +209,8 @@ class Adhesion:
         error = np.abs(model.loads["load"]) * np.clip(moved / self.asked, 0.0, 0.3)
         model.loads["error"] = np.where(self.derating & (self.asked < 1.0), error, 0.0)
         model.loads["sigma"], model.loads["source"] = self.estimated, self.source
+        full = np.abs(self.responses["command"]) >= 0.9 * self.most_asked
+        model.loads["answers"] = full & self.carried
         if self.n > 1:
             lib.switching_tick(model.pointer)
             self.common = model.record["demand"].item()
@@ -217,6 +221,7 @@ class Adhesion:
         model_p = list(zip(adhering, lost, strict=True))
         two = np.count_nonzero(self.known) >= 2
         alone, valid, each = self._alone()
+        self.carried = np.array([bool(valid[k]) and alone[k] <= 0.1 for k in range(self.n)])
         compared = self._limited([0.0] * self.n, (self.known & two).tolist())
         little = min(abs(self.smoothed), abs(self.common)) < MORE_LOAD
         usable = self.responses["usable"] == 1
@@ -248,7 +253,9 @@ class Adhesion:
             if rotor["away"] and valid[k]:
                 p = max(p, alone[k])
             behind = valid[k] and alone[k] >= self.rules.raise_probability
-            if p >= self.rules.raise_probability and not holding.any() and not behind:
+            if self.carried[k] and full[k] and not holding.any():
+                p = alone[k]
+            elif p >= self.rules.raise_probability and not holding.any() and not behind:
                 rotor["uncertain"] = 1
                 p = lib.UNDECIDED
             elif p < self.rules.raise_probability:

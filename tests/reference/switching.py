@@ -179,9 +179,11 @@ class Switching:
 
     def step(
         self, load: Array, known: Array, apart: Array, unsure: Array, gain: Array, error: Array,
-        sigma: Array, source: Array,
+        sigma: Array, source: Array, answers: Array,
     ) -> None:  # fmt: skip
-        """load, gain, error, sigma (N,) per unit; known, apart, unsure (N,) bool; source (N,)."""
+        """load, gain, error, sigma (N,) per unit; known, apart, unsure, answers (N,) bool; source
+        (N,).
+        """
         self.y, self.known = load, known
         self.leads, self.teaches = known & ~apart, known & ~unsure
         self.plain, self.scale = self.leads & self.teaches & (error == 0), (1 + gain) ** 2
@@ -200,7 +202,8 @@ class Switching:
         self.adhering, self.lost = p[:, A], p[:, L]
         if known.sum() > 1:
             self._learn()
-        most = 2 * np.sum(known & (p[:, X] > 0.5)) > known.sum()
+        wrong = known & ((p[:, X] > 0.5) | (answers & (p[:, L] >= 0.5)))
+        most = 2 * np.sum(wrong) > known.sum()
         self.contradicted = self.contradicted + 1 if most else 0
         if self.contradicted == 50:
             self.all, self.contradicted = [unknown(self.n)], 0

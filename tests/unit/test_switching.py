@@ -155,6 +155,22 @@ def test_what_was_learnt_from_a_loss_that_was_there_before_is_given_up():
     assert (adhering[135:] > 0.9).all()
 
 
+@pytest.mark.parametrize("answers", [False, True])
+def test_a_train_that_carries_what_it_is_asked_for_is_not_lost_for_good(answers):
+    """All slide, one after the other, and then carry half: "all lost" would explain it for ever."""
+    slide = [(1, 1, 1), (0.1, 1, 1), (0.1, 0.6, 1), (0.1, 0.6, 0.5)]
+    least, back = np.array([0.12, 0.28, 0.12]), np.full(3, 0.4)
+    loads = 0.6 * np.concatenate([
+        np.ones((60, 3)), *(np.tile(share, (7, 1)) for share in slide),
+        np.linspace(slide[-1], least, 27), np.tile(least, (10, 1)), np.linspace(least, back, 27),
+    ])  # fmt: skip
+    detector = SwitchingDetector()
+    assert (run(loads, detector)[-1] > 0.9).all()
+    detector.model.loads["answers"] = [answers, answers, False]  # more than half
+    p = run(0.6 * np.tile(back, (120, 1)), detector)
+    assert ((p[70:] < 0.1) == answers).all()
+
+
 def test_one_load_that_means_nothing_is_not_given_up_for():
     """Of three, whatever the time: the others are right."""
     loads = np.concatenate([train(60, 1, 1, 1), train(300, 1, 1.6, 1)])

@@ -34,6 +34,7 @@ class Both:
             "known": rng.random(n) < known, "apart": rng.random(n) < apart,
             "unsure": rng.random(n) < apart, "gain": rng.choice([0.0, 0.0, 2.5], n),
             "error": rng.choice([0.0, 0.0, 0.1], n), "sigma": rng.choice([0.0, 0.01, 0.1], n),
+            "answers": rng.random(n) < 0.3,
             "source": np.where(rng.random(n) < 0.05, 1 - plain.source, plain.source),
         }  # fmt: skip
         given |= others
