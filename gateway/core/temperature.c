@@ -23,6 +23,7 @@ static const double MOST_C = 300.0;    /* degC, the signal's maximum: a motor ma
 static const double LEAST_C = -50.0;   /* degC; no train runs in such cold (EN 50125-1: -40) */
 /* Limits of a step; a sensor that was further below the maximum has jumped to it. */
 static const double MOST_STEPS = 5.0;
+static const double BACK = 0.5;         /* share of a step's limit that suffices for a step back */
 static const double FOLLOW = 0.2;       /* weight of a new value in averages */
 static const int64_t SAME_READINGS = 2; /* faults within so many readings have a common cause */
 static const int64_t STALE_CYCLES = 3;  /* a drive that is silent for longer has no stuck sensor */
@@ -106,10 +107,25 @@ static void note_impossible(const struct temperature_drive *drive, struct temper
         s->step_index = drive->readings;
 }
 
+/* 1 if a stuck sensor moves again: what it held is no level from which it steps. */
+static int is_released(const struct temperature_sensor *s, int64_t t_ns, int64_t raw)
+{
+    return s->seen && raw != s->raw && !s->saturated && t_ns - s->changed_ns > s->stuck_after_ns;
+}
+
+/* Size beyond which a change counts as a step. A sensor that was just beyond the limit may come
+ * back from just within it. */
+static double step_limit(const struct temperature_sensor *s, double step_k)
+{
+    return s->bias_k * step_k < 0.0 ? BACK * s->limit_k : s->limit_k;
+}
+
 void temperature_add_value(struct temperature_drive *drive, int k, int64_t t_ns, double value_c,
                            int64_t raw)
 {
     struct temperature_sensor *s = &drive->sensor[k];
+    if (is_released(s, t_ns, raw))
+        s->valid_ns = NO_TIME;
     const struct change now = change_of(drive, s, t_ns, value_c);
     s->moved |= s->seen && raw != s->raw;
     if (raw != s->raw || now.again) {
@@ -122,7 +138,7 @@ void temperature_add_value(struct temperature_drive *drive, int k, int64_t t_ns,
     }
     note_impossible(drive, s, now.again, value_c);
     s->saturated = value_c >= MOST_C && !now.again && fabs(now.step_k) < MOST_STEPS * s->limit_k;
-    if (fabs(now.step_k) > s->limit_k && !s->saturated) {
+    if (fabs(now.step_k) > step_limit(s, now.step_k) && !s->saturated) {
         s->step_count += 1;
         s->step_k = now.sudden_k > s->step_k ? now.sudden_k : s->step_k;
     } else {

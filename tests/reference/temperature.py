@@ -94,7 +94,9 @@ def note_reading(j: int, t: int, points: Points) -> None:
 def take_point(j: int, k: int, t: int, value: float, raw: int, points: Points) -> None:
     """A valid value, degC, of a configured point; raw: in tenths."""
     valid, bias = points.valid_ns[j, k], points.bias_k[j, k]
-    back = valid == _NEVER or t - valid > FORGET_NS
+    held = t - points.changed_ns[j, k] > points.hold_ns[j, k] and not points.full[j, k]
+    released = points.seen[j, k] and raw != points.raw[j, k] and held
+    back = valid == _NEVER or t - valid > FORGET_NS or released
     points.moved[j, k] |= points.seen[j, k] and raw != points.raw[j, k]
     if raw != points.raw[j, k] or back:
         points.raw[j, k], points.changed_ns[j, k] = raw, t
@@ -116,7 +118,7 @@ def take_point(j: int, k: int, t: int, value: float, raw: int, points: Points) -
         passed = max(round((t - valid) / points.period_ns), 1)
     slope = points.slope[j, k]
     beside = change - slope * passed
-    if abs(step) > limit and not full:
+    if abs(step) > (0.5 if bias * step < 0.0 else 1.0) * limit and not full:
         points.stepped[j, k] += 1
         points.jump[j, k] = max(points.jump[j, k], min(abs(change), abs(beside)))
     else:

@@ -158,3 +158,32 @@ def test_a_step_after_ten_seconds_or_to_the_maximum_from_five_limits_below(
     for t, value in ((0, before), *((silent_ns + k * 100 * MS, after) for k in range(3))):
         add_reading(side, Temperatures(0, t, (value,) * 4, (True,) * 4, (round(10 * value),) * 4))
     assert sensor_fault(side, 0, 0, t) is fault
+
+
+def faults_of(values):
+    """The fault after each of these readings, K, every 100 ms; a step is 4 K, stuck is 1 s."""
+    side, found = SensorMonitor(1, 100 * MS), []
+    side.drives["sensor"]["limit_k"], side.drives["sensor"]["stuck_after_ns"] = 4.0, 1000 * MS
+    for t, value in enumerate(values):
+        raw = (round(10 * value),) * 4
+        add_reading(side, Temperatures(0, 100 * t * MS, (value,) * 4, (True,) * 4, raw))
+        found.append(sensor_fault(side, 0, 0, 100 * t * MS))
+    return found
+
+
+@pytest.mark.parametrize(("back", "fault"), [
+    (60.0, FaultClass.NONE), (61.9, FaultClass.NONE), (62.2, FaultClass.SENSOR_BIAS),
+])  # fmt: skip
+def test_a_step_back_by_half_of_the_limit_and_more_ends_an_offset(back, fault):
+    found = faults_of([60.0, *[64.1] * 3, *[back] * 3])
+    assert found[3] is FaultClass.SENSOR_BIAS
+    assert found[-1] is fault
+
+
+@pytest.mark.parametrize(("held", "fault"), [
+    (10, FaultClass.SENSOR_BIAS), (11, FaultClass.NONE),
+])  # fmt: skip
+def test_a_stuck_sensor_begins_anew_when_it_moves_again(held, fault):
+    """What it held is no level from which it could step."""
+    found = faults_of([*[60.0] * held, *[70.0, 70.1] * 2])
+    assert found[-1] is fault
