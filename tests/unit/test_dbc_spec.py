@@ -103,6 +103,14 @@ def test_a_message_is_known_by_its_identifier_and_how_long_that_is():
     assert not hasattr(message(), "__dict__")
 
 
+@pytest.mark.parametrize(("is_fd", "is_either", "classic", "fd"), [
+    (False, False, True, False), (True, False, False, True), (False, True, True, True),
+])  # fmt: skip
+def test_a_message_comes_in_frames_of_its_own_format(is_fd, is_either, classic, fd):
+    one = dataclasses.replace(message(), is_fd=is_fd, is_either=is_either)
+    assert (one.has_format(False), one.has_format(True)) == (classic, fd)
+
+
 def test_columns_are_found_by_name():
     assert [message().column(name) for name in "TUP"] == [0, 1, 2]
     with pytest.raises(KeyError, match="Drive3_Motion\\.X"):
