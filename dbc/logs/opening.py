@@ -36,7 +36,7 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
 
     Raises PatternError, or LogError if no reader fits or the file is compressed, but not by gzip.
     """
-    refuse_packed(path)
+    _refuse_packed(path)
     kind = ending(path)
     if not line and kind not in OTHERS and (kind not in TEXT or _is_candump(path)):
         kind = _by_content(path)
@@ -50,13 +50,13 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     return Reader(path, strict=strict)
 
 
-def refuse_packed(path: Path) -> None:
+def _refuse_packed(path: Path) -> None:
     """Raises LogError for a file that is compressed by anything but gzip."""
     with path.open("rb") as stream:
         start = stream.read(8)
     for magic, name in _PACKED.items():
         if start.startswith(magic):
-            raise LogError(path.name, 0, f"is compressed ({name}): unpack it, or use gzip")
+            raise LogError(str(path), 0, f"is compressed ({name}): unpack it, or use gzip")
 
 
 def _is_candump(path: Path) -> bool:
