@@ -101,11 +101,17 @@ def honest(speed, motor, fd, ticks, load=LOAD, nodes=NODES, gains=0.0, begin=0):
     gains: electrical rad/s2 from tick `begin` on.
     """
     first, last = begin * TICK / SECOND, ticks * TICK / SECOND
-    profile = [(0.0, speed), (first + 0.01, speed), (last + 0.02, speed + gains * (last - first))]
+    profile = ((0.0, speed), (first + 0.01, speed), (last + 0.02, speed + gains * (last - first)))
+    return driven(profile, motor, fd, ticks, load, nodes)
+
+
+@cache
+def driven(profile, motor, fd, ticks, load=LOAD, nodes=NODES):
+    """The same along a profile: pairs of time, s, and electrical speed, rad/s."""
     world = scenario({
-        "title": "steady", "seed": 11, "duration_s": last, "drives": len(nodes),
+        "title": "steady", "seed": 11, "duration_s": ticks * TICK / SECOND, "drives": len(nodes),
         "motor": {"name": motor},
-        "motion": {"start": "rolling", "profile": profile},
+        "motion": {"start": "rolling", "profile": list(profile)},
         "load": {"torque_nm": load * MOTORS[motor].T_rated},
         "bus": {"bitrate": 0 if len(nodes) > len(NODES) else 1_000_000},
     })  # fmt: skip

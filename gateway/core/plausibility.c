@@ -4,11 +4,13 @@
  * current_plausibility.c checks the currents; this file has two more checks:
  *
  * - Load: that of the filter compared with that of the observer.
- * - Held Motion: Speed and Torque constant for 100 ms while others change.
+ * - Held Motion: Speed and Torque constant for 100 ms while others change; at a crawl for three
+ *   cycles.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
  * condition is written so that false, the result of every comparison with NaN, is the safe answer.
- * The divisor is a number of pole pairs; no variance is negative; stamps are between 0 and now. */
+ * The divisor is a number of pole pairs; no variance is negative; stamps are between 0 and now, and
+ * a cycle is at most a minute. */
 #include "gateway/core/plausibility.h"
 
 #include <math.h>
@@ -34,6 +36,8 @@ static const int64_t MOTION_HELD_NS = 100 * MS_NS;
 #define SPEED_MOVED_RAD_S 1.0
 #define COMMAND_MOVED     0.15
 #define SPEED_SIGMAS      4.0 /* the same, in standard deviations of the speed by the currents */
+/* Cycles without another value after which a Motion that alone shows the load may be held. */
+#define STEADY_CYCLES 2.5
 #define MOST_TURN 2.5 /* rad between two samples of current: a filter can track no faster rotor */
 
 /* ---- Held Motion ---- */
@@ -134,6 +138,16 @@ static void note_motion(struct motion_monitor *m, int64_t r, int64_t *row)
     m->noted[k] = *row;
 }
 
+/* At a crawl Motion alone shows the load. While it does not change it may be held, and is no evidence
+ * of a loss: a wheel that starts to slide changes it. */
+static void check_crawl(struct motion_monitor *m, int64_t r, int64_t now_ns)
+{
+    const int64_t k = m->receiver->motion_drive[r];
+    const double steady = (double)(m->receiver->motion_t_ns[r] - m->checks[k].changed_ns);
+    if (m->motions[k].crawls && steady > STEADY_CYCLES * (double)m->motion_cycle_ns)
+        mark_unreliable(&m->rotors[k], now_ns + m->motion_cycle_ns + m->motion_cycle_ns / 2);
+}
+
 /* ---- A tick ---- */
 
 /* 1 if the load of the filter differs from that of the observer. */
@@ -153,6 +167,7 @@ static void check_reading(struct motion_monitor *m, int64_t r, int64_t *row, int
     check_current(m, r, now_ns);
     const double own = own_speed(m, k);
     note_motion(m, r, row);
+    check_crawl(m, r, now_ns);
     const int held = is_motion_held(m, k, own, now_ns);
     count_misfit(m, k, &p->motion_misfits, held, &OF_MOTION, now_ns);
     const int load_off = is_load_off(m, k);

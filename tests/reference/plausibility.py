@@ -42,6 +42,7 @@ LOAD_OFF: Final = 0.25
 LOAD_OFF_RELATIVE: Final = 0.3
 LOADS_IN_A_ROW: Final = 4
 """The same of two loads; filter and observer follow a loss unlike for up to three readings."""
+STEADY_CYCLES: Final = 2.5
 ANGLE_OFF: Final = 0.06
 ANGLE_OFF_SAMPLES: Final = 0.3
 """Largest step of the angle, rad, and in turns of a sample period, at least of 0.5 ms: stamps
@@ -387,6 +388,18 @@ def _motion_held(
     return moved == others and others > 0
 
 
+def _check_crawl(
+    r: int, now: int, readings: Readings, motion: Memory, check: Plausibility,
+    limits: PlausibilityLimits,
+) -> None:  # fmt: skip
+    """A reading of a crawling drive that repeats the ones before keeps it from being accused."""
+    k = readings.drive[r]
+    for_so_long = float(readings.t_ns[r] - check.changed_ns[k])
+    if motion.crawls[k] and for_so_long > STEADY_CYCLES * limits.motion_ns:
+        until = now + limits.motion_ns + limits.motion_ns // 2
+        check.doubt_ns[k] = max(check.doubt_ns[k], until)
+
+
 def _note_motion(
     r: int, readings: Readings, measured: Array, slow: SlowState, check: Plausibility
 ) -> None:
@@ -451,6 +464,7 @@ def check_values(
         own = _own_speed(k, measured, filters, told, limits)
         _note_motion(r, readings, measured, slow, check)
         sigma = math.sqrt(filters.P[k, _W_E, _W_E]) / limits.pole_pairs[k]
+        _check_crawl(r, now, readings, motion, check, limits)
         held = _motion_held(k, now, measured, slow, own, sigma, check, limits.rated_nm[k])
         _count(held, 0, IN_A_ROW, check.motion_held, k, now, check)
         load = told.load[k] if _tracks(k, measured, told, limits) else math.nan

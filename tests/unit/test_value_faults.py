@@ -11,9 +11,21 @@ import pytest
 
 from dbc.e2e import crc_ok
 from gateway.core.codes import Flag
+from gateway.core.gateway import Gateway
 from tests.simrun import CLASSIC, FD_FILE, codec
 from tests.storm.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, ValueFaults
-from tests.value_cases import FILTERS, MOTOR_NAMES, NODES, SPEEDS, Case, honest, run_case
+from tests.value_cases import (
+    FILTERS,
+    MOTOR_NAMES,
+    NODES,
+    SPEEDS,
+    TICK,
+    Case,
+    config_of,
+    driven,
+    honest,
+    run_case,
+)
 
 REACTION_MS, AGAIN_MS = 200, 3000
 MATTERS = 0.15
@@ -216,6 +228,22 @@ def test_a_measured_speed_that_stands_while_the_others_rise_is_noticed(name, fd)
     case = Case("held_motion", 100.0, "bench", name, fd, gains=20.0)
     assert min(run_case(case).off_rpm[20:]) > 5.0
     judged(case)
+
+
+@pytest.mark.parametrize("held_tick", [50, 120, 170], ids=["at rest", "slowing", "nearly at rest"])
+def test_a_motion_that_is_held_accuses_nobody_when_its_train_starts(held_tick):
+    """At a crawl it alone shows the load; later the train passes the speed at which it stands."""
+    fast, still = 40.0 if held_tick > 100 else 0.0, (2.0, 0.0)
+    frames = driven(((0.0, fast), still, (2.5, 0.0), (6.0, 80.0)), "bench", False, 600)
+    bound = codec(NODES, CLASSIC)
+    core, faults = Gateway(config_of(Case("held_motion")), bound, 0), ValueFaults(bound, NODES)
+    flags = []
+    for tick, sent in enumerate(frames, start=1):
+        held = [("held_motion", 1)] if tick > held_tick else []
+        core.step(faults.apply(held, sent), tick * TICK)
+        flags.append([drive.adhesion for drive in core.view.drives])
+    assert all(Flag.BAD not in row for row in flags)
+    assert flags[-1] == [Flag.GOOD, Flag.UNKNOWN, Flag.GOOD]
 
 
 @pytest.mark.parametrize("kind", VALUE_KINDS)
