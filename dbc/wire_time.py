@@ -3,6 +3,7 @@
 Classic CAN: ISO 11898-1, 11-bit and 29-bit identifiers, CRC-15. CAN FD: dynamic stuff bits up to
 the end of the data, then the stuff count and a CRC of 17 or 21 bits with fixed stuff bits. Bits
 after the stuffed part (delimiters, acknowledge, end of frame, intermission) are counted as well.
+`longest_seconds` does not look at the content.
 """
 
 from __future__ import annotations
@@ -46,6 +47,19 @@ def bits_of(frames: Sequence[Frame]) -> tuple[Counts, Counts]:
         else:
             nominal[places] = _classic(head, body, length)
     return nominal, data
+
+
+def longest_seconds(length: int, bitrate: float, data_bitrate: float | None = None) -> float:
+    """Longest time, s, for which a frame with an 11-bit identifier occupies the bus.
+
+    data_bitrate: of a CAN FD frame, with the bits of the data part and their worst stuffing;
+    None: classic CAN. Rates in bit/s.
+    """
+    if data_bitrate is None:
+        return (47 + 8 * length + (33 + 8 * length) // 4) / bitrate
+    crc = 21 + 6 if length > 16 else 17 + 5
+    bits = 8 * length + 9
+    return 34 / bitrate + (bits + crc + bits // 4) / data_bitrate
 
 
 def _classic(head: Bits, body: Bits, length: int) -> Counts:

@@ -200,28 +200,17 @@ def _authentication(config: Config) -> str:
     return "authenticated, the key can be used"
 
 
-def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
-    """Longest time for which one frame occupies the bus, s, with worst-case stuffing.
-
-    Classic: 47 + 8 n bits and a stuff bit per four of the first 34 + 8 n. FD: the arbitration
-    part and the end of frame at the nominal rate (29 bits and worst stuffing), the data part
-    with its 17- or 21-bit CRC, fixed stuff bits and worst stuffing at the data rate.
-    """
-    n = spec.length
-    if not spec.is_fd:
-        return (47 + 8 * n + (33 + 8 * n) // 4) / bitrate
-    crc = 21 + 6 if n > 16 else 17 + 5
-    return 34 / bitrate + (8 * n + 9 + crc + (8 * n + 9) // 4) / (
-        data_bitrate if spec.brs else bitrate
-    )
-
-
 def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> float:
     """Bus load of the configured drives and the gateway, %.
 
     planned: drives of other makers, of which only the messages in use are known.
     """
+    from dbc.wire_time import longest_seconds
     from gateway.core.transmit import VOUCHED, Outbox
+
+    def seconds(spec: MessageSpec) -> float:
+        rate = bus.data_bitrate if spec.brs else bus.bitrate
+        return longest_seconds(spec.length, bus.bitrate, rate if spec.is_fd else None)
 
     creep = config.adhesion.send_creep
     outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns, creep=creep)
@@ -230,7 +219,7 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
     busy = 0.0
     if config.authentication is not None:
         follows = sum(1e9 / outbox.specs[name].cycle_ns for name in VOUCHED)
-        busy += frame_seconds(outbox.auth, bus.bitrate, bus.data_bitrate) * follows
+        busy += seconds(outbox.auth) * follows
     mapped = {plan.node for plan in planned}
     native = [node for node in config.nodes if node not in mapped]
     theirs = {spec.key: spec for plan in planned for spec in plan.codec.messages}
@@ -238,7 +227,7 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
         from_drive = spec.node in native and not spec.is_gateway
         used = from_drive or spec.name in ours or spec.key in theirs
         if spec.cycle_ns and used:
-            busy += frame_seconds(spec, bus.bitrate, bus.data_bitrate) * 1e9 / spec.cycle_ns
+            busy += seconds(spec) * 1e9 / spec.cycle_ns
     theirs_hz = 1e3 / (config.canopen.heartbeat_ms or 100)
-    heartbeats = (47 + 8 + (33 + 8) // 4) / bus.bitrate * (10 + theirs_hz * len(config.nodes))
+    heartbeats = longest_seconds(1, bus.bitrate) * (10 + theirs_hz * len(config.nodes))
     return 100.0 * (busy + heartbeats)

@@ -11,6 +11,7 @@ from _traction_core import ffi, lib
 from dbc.frame import FD, Frame, Nanos
 from dbc.frames import Block
 from dbc.records import BUS_LOAD, Addressed
+from dbc.wire_time import longest_seconds
 from gateway.core.receiving import Receiver
 
 
@@ -20,10 +21,8 @@ class BusLoad(Addressed):
     def __init__(self, bitrate: int, data_bitrate: int, start_ns: Nanos) -> None:
         self.record = np.zeros(1, BUS_LOAD)
         lengths = range(lib.DATA_LENGTHS)
-        self.record["classic_s"] = [(47 + 8 * n + (33 + 8 * n) // 4) / bitrate for n in lengths]
-        self.record["fd_s"] = [
-            34 / bitrate + (8 * n + 33 + 8 * n // 4) / data_bitrate for n in lengths
-        ]
+        self.record["classic_s"] = [longest_seconds(n, bitrate) for n in lengths]
+        self.record["fd_s"] = [longest_seconds(n, bitrate, data_bitrate) for n in lengths]
         self.record["since_ns"], self.record["percent"] = start_ns, math.nan
         self.link()
 

@@ -65,6 +65,7 @@ MOTION = ("tests/unit/test_motion_reference.py", *(
         "test_at_high_speed_the_largest_current_of_a_tick_explains_the_torque",
         "test_a_current_of_which_one_half_stays_is_no_repeat",
         "test_an_angle_that_is_off_for_a_minute_is_the_new_one",
+        "test_at_a_crawl_a_motion_that_repeats_for_more_than_two_and_a_half_cycles_accuses_nobody",
         "test_on_its_limits_motion_is_in_order", "test_on_their_limits_command_and_load_fit",
         "test_with_fifteen_percent_of_rated_a_current_says_something",
         "test_without_a_motion_the_noise_of_the_filters_speed_changes_no_source",

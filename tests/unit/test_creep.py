@@ -8,7 +8,8 @@ from _traction_core import lib
 from dbc.codec import bind
 from dbc.frame import Frame
 from dbc.records import ADHESION, DRIVE_STATUS, ROTOR, ROTOR_INPUTS, pointer
-from gateway.commands.check import bus_load, frame_seconds
+from dbc.wire_time import longest_seconds
+from gateway.commands.check import bus_load
 from gateway.core.codes import Flag, Health
 from gateway.core.flags import FlagKind, unknown_status
 from gateway.core.gateway import Gateway
@@ -197,7 +198,7 @@ def test_the_identifiers_are_the_gateways_own_only_where_it_sends_them(raw):
 def test_the_bus_load_of_check_counts_it():
     loads = [bus_load(bind(c.dbc_path, c.nodes), c) for c in (parse({}), parse(ON))]
     spec = codec_for((1, 2, 3)).by_name["Drive1_Adhesion"]
-    more = 100.0 * 3 * 50 * frame_seconds(spec, 1_000_000, 5_000_000)
+    more = 100.0 * 3 * 50 * longest_seconds(spec.length, 1_000_000)
     assert loads[1] - loads[0] == pytest.approx(more)
     assert 1.5 < more < 2.5
 

@@ -402,6 +402,17 @@ def test_on_its_limits_motion_is_in_order():
     assert motion.motions["readings"].item(0) == 10
 
 
+def test_at_a_crawl_a_motion_that_repeats_for_more_than_two_and_a_half_cycles_accuses_nobody():
+    motion, until = side(), []
+    motion.motions["crawls"] = 1
+    for now in (10 * MS, 20 * MS, 35 * MS, 45 * MS):
+        motion.came.tick([(0, now, 0.5, 20.0, math.nan)])
+        lib.check_plausibility(motion.pointer, now)
+        until.append(motion.rotors["unreliable_until_ns"].item())
+    assert max(until[:3]) < 0, "never yet"
+    assert until[3] == 60 * MS, "for a cycle and a half from now on"
+
+
 def test_on_their_limits_command_and_load_fit():
     motion, seen = side(), []
     rated = motion.checks["rated_nm"].item()

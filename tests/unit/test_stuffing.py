@@ -6,10 +6,8 @@ from hypothesis import strategies as st
 
 from dbc import wire_time as ours
 from dbc.frame import BRS, EXTENDED, FD, Frame
-from gateway.commands.check import frame_seconds
 from tests.fuzz import examples
 from tests.reference import stuffing
-from tests.sender import FD_FILE, codec_for
 
 
 def test_the_checksum_is_can_s():
@@ -78,22 +76,20 @@ def test_lengths_without_stuffing():
 def test_no_classic_frame_is_longer_than_the_worst_case(can_id, data):
     bits = bits_of(Frame(0, can_id, data))
     n = len(data)
-    assert 47 + 8 * n <= bits.nominal <= 47 + 8 * n + (33 + 8 * n) // 4
+    assert 47 + 8 * n <= bits.nominal <= ours.longest_seconds(n, 1.0)
     assert bits.data == 0
 
 
 @settings(max_examples=examples(50))
-@given(st.binary(min_size=64, max_size=64), st.booleans())
-def test_no_fd_frame_is_longer_than_the_worst_case(data, switch):
-    spec = codec_for((1, 2), FD_FILE).by_name["Drive1_Samples"]
-    frame = Frame(0, spec.can_id, data, FD | (BRS if switch else 0))
-    bits = bits_of(frame)
-    # 29 bits at the nominal rate; 1 + 4 + 512, 4 + 21 and seven fixed ones, delimiter at the other.
-    least = (29, 550) if switch else (579, 0)
-    assert bits.nominal >= least[0]
-    assert bits.data >= least[1]
-    if switch:
-        assert bits.seconds(1_000_000, 5_000_000) <= frame_seconds(spec, 1_000_000, 5_000_000)
+@given(st.binary(min_size=64, max_size=64), st.sampled_from(stuffing.FD_LENGTHS), st.booleans())
+def test_no_fd_frame_is_longer_than_the_worst_case(data, length, switch):
+    bits = bits_of(Frame(0, 0x123, data[:length], FD | (BRS if switch else 0)))
+    # ESI, length code and data, stuff count and CRC with fixed stuff bits, delimiter.
+    fixed = 6 + 8 * length + (4 + 21 + 7 if length > 16 else 4 + 17 + 6)
+    assert bits.nominal >= 29 + fixed * (not switch)
+    assert bits.data >= fixed * switch
+    longest = ours.longest_seconds(length, 1e6, 5e6 if switch else 1e6)
+    assert bits.seconds(1_000_000, 5_000_000) <= longest
 
 
 def test_a_length_that_can_fd_has_not_is_refused():
