@@ -24,6 +24,7 @@ CLASSES = {
     "winding_resistance": FaultClass.WINDING_RESISTANCE,
 }  # fmt: skip
 NOTHING = (FaultClass.UNKNOWN, FaultSensor.NONE)
+NOT_JUDGED = (Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING)
 
 
 def words(motor, kind, unexplained=False, cut_out=False):
@@ -44,15 +45,28 @@ def words(motor, kind, unexplained=False, cut_out=False):
         if motor["fault_probability"] > LIKELY:
             return Flag.UNKNOWN, None, Reason.DIVERGED, *NOTHING
         return Flag.GOOD, None, Reason.NONE, FaultClass.NONE, FaultSensor.NONE
-    whose = int(side(kind))
+    whose, heat = int(side(kind)), CLASSES[KINDS[int(kind[: len(HEAT)].argmax())]]
+    sensor = FaultSensor(int(kind[len(HEAT) :].argmax()) % POINTS + 1)
+    if whose > 0:
+        return Flag.BAD, None, Reason.NONE, heat, FaultSensor.NONE
+    # A sensor that has stepped for certain is no alternative to heat.
+    stepped = np.tile(motor["step"]["offset_k"] != 0.0, 2)
+    beside = motor["kind"].copy()
+    beside[len(HEAT) :][stepped] = 0.0
+    hot = motor["held"] and beside[: len(HEAT)].sum() > LIKELY and int(side(beside)) > 0
+    if stepped.any() and hot:
+        return Flag.BAD, Flag.BAD, Reason.NONE, heat, sensor
     if whose == 0:
         return Flag.UNKNOWN, Flag.UNKNOWN, Reason.DIVERGED, *NOTHING
-    if whose > 0:
-        name = KINDS[int(kind[: len(HEAT)].argmax())]
-        return Flag.BAD, None, Reason.NONE, CLASSES[name], FaultSensor.NONE
-    point = int(kind[len(HEAT) :].argmax()) % POINTS
-    bias = FaultClass.SENSOR_BIAS, FaultSensor(point + 1)
-    return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, *bias
+    return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, FaultClass.SENSOR_BIAS, sensor
+
+
+def beside_fault(kind, whose, told):
+    """The same of a motor with a faulty sensor; told: `words` of its model, whose heat counts."""
+    thermal, _, why, heat, _ = told
+    if thermal is Flag.BAD:
+        return thermal, Flag.BAD, why, heat, whose
+    return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, kind, whose
 
 
 class Temperatures:
@@ -161,17 +175,20 @@ class Temperatures:
         sensors = self.side.sensors
         kind, whose = sensor_verdict(sensors, j, now)
         if kind is not FaultClass.NONE:
-            found = Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, kind, whose
-            return *found, mixed, largest
+            told = NOT_JUDGED if self.side.model is None else self._by_model(j)
+            return *beside_fault(kind, whose, told), mixed, largest
         sensor = Flag.UNKNOWN if not_yet_valid(sensors, j) else Flag.GOOD
         if self.calibration is None:
-            thermal, own, why, *fault = Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING
+            thermal, own, why, *fault = NOT_JUDGED
         elif self.side.model is None:
             thermal, own, why, *fault = self._unlike(j)
         else:
-            monitor, out = self.side.model, bool(self.cut_out[j])
-            thermal, own, why, *fault = words(monitor.motors[j], monitor.kinds()[0][j], cut_out=out)
+            thermal, own, why, *fault = self._by_model(j)
         return thermal, sensor if own is None else own, why, *fault, mixed, largest
+
+    def _by_model(self, j):
+        monitor, out = self.side.model, bool(self.cut_out[j])
+        return words(monitor.motors[j], monitor.kinds()[0][j], cut_out=out)
 
     def _unlike(self, j):
         if self.left_out[j]:
