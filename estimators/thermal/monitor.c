@@ -123,12 +123,17 @@ static void widen_seen(struct thermal_motor *motor, int q, double shift)
         motor->imm.cov[g][THERMAL_SEEN[q]][THERMAL_SEEN[q]] += shift * shift;
 }
 
+int thermal_sensor_returns(const struct thermal_motor *motor, int q, double step_k)
+{
+    const int g = 1 + IMM_HEATS + q;
+    const double crept_k = motor->imm.mean[g][IMM_STATES - 2];
+    return motor->imm.mode[g] > HALF && fabs(step_k + crept_k) < RETURNED_K;
+}
+
 /* A sensor that had crept away and steps back has no offset. */
 static void forget_return(struct thermal_motor *motor, int q)
 {
-    const int g = 1 + IMM_HEATS + q;
-    const double crept = motor->imm.mean[g][IMM_STATES - 2];
-    if (motor->imm.mode[g] > HALF && fabs(motor->step[q].offset_k + crept) < RETURNED_K)
+    if (thermal_sensor_returns(motor, q, motor->step[q].offset_k))
         motor->step[q].offset_k = 0.0;
 }
 

@@ -170,6 +170,18 @@ def test_a_faulty_sensor_hides_no_heat_and_is_none_itself(celsius, kind):
     assert report.fault_sensor is FaultSensor.NON_DRIVE_END
 
 
+@pytest.mark.parametrize("rate", [-0.012, -0.02])
+def test_a_sensor_that_crept_and_is_mended_has_no_offset(rate):
+    """It steps back by more than a step's limit, which no motor's temperature does."""
+    rig, crept = Rig(), np.minimum(np.arange(9000) / 10.0, 500.0) * rate
+    rig.run(120)
+    creep = iter(crept)
+    assert rig.run(900, faulty=with_end(lambda c: c + next(creep)))[1].sensor is Flag.BAD
+    assert (rig.side.sensors.drives["sensor"]["limit_k"] < abs(crept[-1])).all()
+    mended = rig.run(300)[1]
+    assert (mended.thermal, mended.sensor) == (Flag.GOOD, Flag.GOOD)
+
+
 @pytest.mark.parametrize("line", [Line(fresh=False), Line(irms=None), Line(speed=None)])
 def test_blind_is_unknown_and_says_stale(line):
     rig = Rig()
