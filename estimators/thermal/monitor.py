@@ -185,7 +185,8 @@ class ThermalMonitor(Addressed):
         """Samples of a block."""
         self.known_motors = _motors(known, self.block)
         self.motors = np.zeros(len(known.parameters), records.THERMAL_MOTOR)
-        self.motors["trusted"], self.motors["compared_k"] = True, np.nan
+        self.motors["trusted"] = True
+        self.motors["compared_k"] = self.motors["peers_k"] = np.nan
         self.currents = np.zeros(len(self.motors), records.MOTOR_CURRENT)
         """(M,) of `struct motor_current`."""
         self.record = np.zeros(1, records.THERMAL_MONITOR)

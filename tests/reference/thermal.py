@@ -18,6 +18,7 @@ from tests.stations import not_yet_valid, sensor_verdict, sensors_valid
 NEVER = -(1 << 63)
 POINTS = 3
 BLIND_S, LIKELY = 5.0, 0.5
+IDLE_SAMPLES = 20
 CLASSES = {
     "overheating": FaultClass.OVERHEATING, "cooling_loss": FaultClass.COOLING_LOSS,
     "bearing_de": FaultClass.BEARING, "bearing_nde": FaultClass.BEARING,
@@ -88,6 +89,7 @@ class Temperatures:
         self.kept, self.until = [None] * n, [NEVER] * n
         self.driven_a = driven_a
         self.square, self.cut_out, self.left_out = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
+        self.idle = np.zeros(n, int)
         self.averages = self.known = self.deviation = None
         self.spread = np.full(POINTS, np.nan)
 
@@ -150,11 +152,15 @@ class Temperatures:
                 self.mean[j] = np.nansum(rows, axis=0) / np.where(there, there, np.nan)
         self.rows = [[] for _ in self.rows]
         measured = np.isfinite(self.mean[:, POINTS])
-        square = np.minimum(self.mean[measured, POINTS], (100.0 * self.driven_a) ** 2)
-        self.square[measured] += (square - self.square[measured]) / 30.0
+        square = np.minimum(self.mean[:, POINTS], (100.0 * self.driven_a) ** 2)
+        self.square[measured] += (square - self.square)[measured] / 30.0
+        highest = square[measured].max(initial=0.0)
+        if highest > self.driven_a**2:
+            without = square < highest / 400.0  # false without a value
+            self.idle = np.where(without, self.idle + 1, np.where(measured, 0, self.idle))
         largest = self.square[measured].max(initial=0.0)
         if largest > self.driven_a**2:
-            self.cut_out = self.square < largest / 400.0
+            self.cut_out = (self.square < largest / 400.0) | (self.idle >= IDLE_SAMPLES)
 
     def report(self, j, now):
         """Evidence of one motor: flags, reason, class, sensor, temperature and MAISD."""
