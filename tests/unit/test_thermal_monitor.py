@@ -5,8 +5,8 @@ import pytest
 
 from estimators.thermal import model
 from estimators.thermal import model_method as method
-from estimators.thermal.hypotheses import HEAT, KINDS
-from estimators.thermal.monitor import GAP_S, ThermalMonitor, followed
+from estimators.thermal.hypotheses import HEAT, KINDS, side
+from estimators.thermal.monitor import GAP_S, MISFIT_K, ThermalMonitor, followed
 from estimators.thermal.record import Record
 from tests.thermal_core import SIZE, start, step
 
@@ -159,6 +159,26 @@ def test_nothing_cools_a_motor_but_a_sensor(known, point):
     error = np.zeros((2 * HOUR, MOTORS, 3))
     error[HOUR // 2 :, ILL, point] = -np.minimum(np.arange(3 * HOUR // 2) * 0.02, 6.0)
     found(known, train(34, error=error), KINDS[5 + point], 900)
+
+
+@pytest.mark.parametrize(("motors", "named"), [(3, 0), (4, -1)])
+def test_where_models_fit_less_a_sensor_that_reads_low_is_named_beside_three_motors(
+    known, motors, named
+):
+    """Beside two, one of them may be hot instead: that moves the median of both."""
+    error = np.zeros((2 * HOUR, MOTORS, 3))
+    error[HOUR // 2 :, ILL, 1] = -np.minimum(np.arange(3 * HOUR // 2) * 0.01, 8.0)
+    record, kept = train(36, error=error), slice(motors)
+    part = record._replace(
+        temperature=record.temperature[:, kept], current_square=record.current_square[:, kept]
+    )
+    fleet = known._replace(
+        parameters=known.parameters[kept], centre=known.centre[kept], noise=known.noise[kept],
+        own_k=2.0 * MISFIT_K, coverage=None,
+    )  # fmt: skip
+    _, held, kinds = watched(fleet, part, work=motors)
+    assert held[-HOUR // 4 :, ILL].all()
+    assert set(side(kinds[-HOUR // 4 :, ILL]).tolist()) == {named}
 
 
 @pytest.mark.parametrize("point", range(3))
