@@ -196,8 +196,10 @@ double imm_kinds(const struct imm_config *config, const struct imm_state *state,
             const double shown = shows(config, state, g);
             here = here < shown ? here : shown;
         } else {
-            here += above(limit, -size, variance);
-            ambiguous = config->ambiguous * here; /* it may be heat, here or of another motor */
+            const double low = above(limit, -size, variance);
+            /* It may be heat: here or, if the sensor reads low, of another motor. */
+            ambiguous = config->ambiguous * here + config->ambiguous_low * low;
+            here += low;
             kind[LOCAL_HEAT[g - 1 - IMM_HEATS]] += state->mode[g] * ambiguous;
         }
         kind[g - 1] = state->mode[g] * (here - ambiguous);

@@ -31,6 +31,8 @@ static const double SURE = 1.0 - 1e-6; /* probability that a sensor that has ste
 static const double LEAST = 1e-300;    /* least sum of probabilities that divides */
 /* A reported fault ends below the first probability; a reported probability is above one half. */
 static const double CLEAR = 0.3, HALF = 0.5;
+static const double PARKED_S = 600.0;     /* s without speed and current, longer than a stop */
+static const double DRIVEN_RAD_S = 1.0;   /* rad/s, a slower motor does not turn */
 static const double MOST_TESTED_S = 60.0; /* s for which others are compared with a last value */
 /* Bursts in a row that may be one departure; a sensor that is away for longer has a new level. */
 static const double MOST_BURSTS = 4.0;
@@ -123,12 +125,17 @@ static void widen_seen(struct thermal_motor *motor, int q, double shift)
         motor->imm.cov[g][THERMAL_SEEN[q]][THERMAL_SEEN[q]] += shift * shift;
 }
 
+int thermal_sensor_returns(const struct thermal_motor *motor, int q, double step_k)
+{
+    const int g = 1 + IMM_HEATS + q;
+    const double crept_k = motor->imm.mean[g][IMM_STATES - 2];
+    return motor->imm.mode[g] > HALF && fabs(step_k + crept_k) < RETURNED_K;
+}
+
 /* A sensor that had crept away and steps back has no offset. */
 static void forget_return(struct thermal_motor *motor, int q)
 {
-    const int g = 1 + IMM_HEATS + q;
-    const double crept = motor->imm.mean[g][IMM_STATES - 2];
-    if (motor->imm.mode[g] > HALF && fabs(motor->step[q].offset_k + crept) < RETURNED_K)
+    if (thermal_sensor_returns(motor, q, motor->step[q].offset_k))
         motor->step[q].offset_k = 0.0;
 }
 
@@ -196,7 +203,8 @@ void thermal_close_block(const struct thermal_config *config,
     for (int m = 0; m < motors; m++) {
         for (int q = 0; q < P; q++) {
             widen_seen(&motor[m], q, others[m * P + q] - motor[m].off_k[q]);
-            motor[m].off_k[q] = motor[m].middle_k[q] - motor[m].base_k[q] - others[m * P + q];
+            motor[m].peers_k[q] = others[m * P + q];
+            motor[m].off_k[q] = motor[m].middle_k[q] - motor[m].base_k[q] - motor[m].peers_k[q];
             forget_return(&motor[m], q);
         }
         read_inputs(&motor[m]);
@@ -273,6 +281,28 @@ static struct imm_config inflated(const struct thermal_config *config,
     return out;
 }
 
+/* 1 if a motor turned or had current in the last block. */
+static int was_driven(const struct thermal_config *config, const struct thermal_sums *sums)
+{
+    return sums->speed >= sums->count * DRIVEN_RAD_S ||
+           sums->current_square >= sums->count * config->cut_out.driven_square;
+}
+
+/* A motor that is parked has no losses and no fan, so that heat in it cannot be told from uneven
+ * cooling, which no model knows. The filters follow it, but what was likely when it stopped stays. */
+static void keep_parked(const struct thermal_config *config, struct thermal_motor *motor)
+{
+    const struct thermal_sums *sums = &motor->inputs;
+    if (sums->count > 0.0)
+        motor->parked_s = was_driven(config, sums) ? 0.0 : motor->parked_s + config->imm.block_s;
+    for (int g = 0; g < IMM_MODES; g++) {
+        if (motor->parked_s == 0.0)
+            motor->driven_mode[g] = motor->imm.mode[g];
+        else if (motor->parked_s > PARKED_S)
+            motor->imm.mode[g] = motor->driven_mode[g];
+    }
+}
+
 void thermal_judge_block(const struct thermal_config *config,
                          const struct thermal_motor_config *known, struct thermal_motor *motor)
 {
@@ -282,6 +312,7 @@ void thermal_judge_block(const struct thermal_config *config,
     thermal_surroundings(config, &known->model, &motor->inputs, &around);
     motor->log_likelihood =
         imm_advance(&filters, &around, motor->off_k, noise_k, motor->held, &motor->imm);
+    keep_parked(config, motor);
     motor->size_k = imm_kinds(&config->imm, &motor->imm, motor->kind);
     judge_connectors(config, motor);
     hold(config, motor);

@@ -29,6 +29,9 @@ void thermal_monitor_close_block(struct thermal_monitor *all);
 /* Judge at most `count` of the waiting motors, so that a block of many does not delay one tick. */
 void thermal_monitor_judge(struct thermal_monitor *all, int count);
 
+/* 1 if sensor q has crept away, which is likely, and a step of step_k K brings it back. */
+int thermal_sensor_returns(const struct thermal_motor *motor, int q, double step_k);
+
 /* Fill kind (motors, THERMAL_KINDS): present probability of every kind of fault. A sensor that has
  * stepped is certainly off, whatever other fault exists. */
 void thermal_kinds(const struct thermal_motor *motor, int motors, double *kind);

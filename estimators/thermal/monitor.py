@@ -90,6 +90,9 @@ AMBIGUOUS, MISFIT_K = 0.3, 0.06
 where the model has no lump or, if it reads low, heat of a motor that it is compared with. Then this
 share of its probability counts for heat, so that neither is named. A sensor whose step the step
 detector has found is named all the same."""
+FEW: Final = 3
+"""Up to so many motors, one that is hot moves the median of the others, beside which a motor then
+reads low; with more, a sensor that reads low is off."""
 RAISE: Final = 0.9
 """Probability above which a fault is reported, where no rate of false alarms is stated."""
 LEAST_COVERED: Final = 0.8
@@ -185,7 +188,8 @@ class ThermalMonitor(Addressed):
         """Samples of a block."""
         self.known_motors = _motors(known, self.block)
         self.motors = np.zeros(len(known.parameters), records.THERMAL_MOTOR)
-        self.motors["trusted"], self.motors["compared_k"] = True, np.nan
+        self.motors["trusted"] = True
+        self.motors["compared_k"] = self.motors["peers_k"] = np.nan
         self.currents = np.zeros(len(self.motors), records.MOTOR_CURRENT)
         """(M,) of `struct motor_current`."""
         self.record = np.zeros(1, records.THERMAL_MONITOR)
@@ -320,6 +324,8 @@ def _config(known: Known, dt_s: float) -> Records:
     out["imm"] = imm_config(known.scale, block * dt_s, faults)
     out["imm"]["own_k"] = known.own_k
     out["imm"]["ambiguous"] = AMBIGUOUS if known.own_k > MISFIT_K else 0.0
+    few = len(known.parameters) <= FEW
+    out["imm"]["ambiguous_low"] = out["imm"]["ambiguous"] if few else 0.0
     noise_k = float(np.median(known.noise, axis=0).max())
     out["steps"] = step_detector.config(dt_s, noise_k=noise_k, tested=tested)
     seen = step_detector.window(out["steps"]) if tested else 0

@@ -24,9 +24,12 @@ void thermal_motor_reset(const struct thermal_config *config, struct thermal_mot
     *motor = (struct thermal_motor){
         .unknown_s = was.unknown_s, .trusted = was.trusted, .lost = was.lost};
     imm_start(&config->imm, &motor->imm);
+    for (int g = 0; g < IMM_MODES; g++)
+        motor->driven_mode[g] = motor->imm.mode[g];
     for (int q = 0; q < P; q++) {
         motor->compared_k[q] = was.compared_k[q];
         motor->absent_s[q] = was.absent_s[q];
+        motor->peers_k[q] = was.peers_k[q];
         step_reset(&motor->step[q]);
         motor->burst[q].level_k = NAN;
         motor->middle_k[q] = motor->off_k[q] = NAN;
@@ -119,6 +122,21 @@ static void widen_core(struct thermal_motor *motor)
         motor->imm.cov[g][THERMAL_CORE][THERMAL_CORE] += 0.25 * span * span;
 }
 
+/* Start the model of a motor. Weather, and what no model knows, are in the residuals of all motors:
+ * from its readings alone, it would differ from the others until its model has settled. */
+static void start_model(const struct thermal_motor_config *known, const struct thermal_input *u,
+                        const double *reading, struct thermal_motor *motor)
+{
+    double centred[P];
+    for (int q = 0; q < P; q++) {
+        const double shared = isfinite(motor->peers_k[q]) ? motor->peers_k[q] : 0.0;
+        centred[q] = reading[q] - known->centre_k[q] - shared;
+    }
+    motor->started = (uint8_t)thermal_motor_start(&known->model, u, centred, motor->lumps);
+    if (motor->started)
+        widen_core(motor);
+}
+
 static void add_sample(const struct thermal_config *config,
                        const struct thermal_motor_config *known, int cut_out,
                        struct thermal_motor *motor, int k, const double *reading,
@@ -133,13 +151,8 @@ static void add_sample(const struct thermal_config *config,
     if (cut_out)
         return;
     if (is_known(u) && !motor->started) {
-        double centred[P];
-        for (int q = 0; q < P; q++)
-            centred[q] = reading[q] - known->centre_k[q];
-        motor->started = (uint8_t)thermal_motor_start(p, u, centred, motor->lumps);
+        start_model(known, u, reading, motor);
         since = config->dt_s;
-        if (motor->started)
-            widen_core(motor);
     }
     if (!is_known(u) || !motor->started)
         return;

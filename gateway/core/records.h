@@ -494,6 +494,7 @@ struct imm_config {
     double benign_k[IMM_MODES - 1]; /* K, size below which each kind of fault is benign */
     double shown_k;                 /* K, least rise of some reading for a heat fault */
     double ambiguous; /* share of a sensor fault's probability given to heat: neither is named */
+    double ambiguous_low;              /* the same share if the sensor reads low */
     struct imm_fault fault[IMM_MODES]; /* prior of each mode; that of the first mode is not used */
     int32_t modes; /* number of modes in use: IMM_MODES, or 1 for no fault at all */
 };
@@ -533,6 +534,7 @@ struct cut_out_config {
 /* Current of one motor; all zero when nothing is known. */
 struct motor_current {
     double square;   /* A^2, mean of the squared amplitude over the last half minute */
+    int32_t idle;    /* samples in a row without current while another motor was driven */
     uint8_t cut_out; /* 1: the motor turns without current */
 };
 
@@ -580,6 +582,7 @@ struct thermal_config {
 struct thermal_motor {
     double lumps[THERMAL_LUMPS]; /* degC, temperatures by the open-loop model (enum thermal_lump) */
     double unknown_s;            /* s since its inputs were last known */
+    double parked_s;             /* s since it last turned or had current */
     struct step_state step[THERMAL_POINTS];           /* step detector of each sensor */
     struct thermal_burst burst[THERMAL_POINTS];       /* end of each sensor's last block */
     double window[THERMAL_POINTS][THERMAL_BLOCK_MAX]; /* K, latest residuals, the newest last */
@@ -592,16 +595,18 @@ struct thermal_motor {
     double bursts[THERMAL_POINTS]; /* log odds for a loose connector by the last block; NaN: none */
     double compared_k[THERMAL_POINTS]; /* K, what others are compared with; NaN: nothing */
     double absent_s[THERMAL_POINTS];   /* s since a block had enough readings for it */
-    double off_k[THERMAL_POINTS];  /* K, last block relative to the other motors; NaN: no others */
-    double base_k[THERMAL_POINTS]; /* K, baseline learnt while there was no fault */
-    double loose[THERMAL_POINTS];  /* probability of a loose connector */
-    double kind[THERMAL_KINDS];    /* probability of each kind of fault, after hysteresis */
-    double size_k;                 /* K, likely size of the fault */
-    double log_likelihood;         /* log likelihood of the last block */
-    double fault_probability;      /* probability of any fault, before hysteresis */
+    double peers_k[THERMAL_POINTS]; /* K, median of the others' last blocks; NaN: too few others */
+    double off_k[THERMAL_POINTS];   /* K, last block relative to the other motors; NaN: no others */
+    double base_k[THERMAL_POINTS];  /* K, baseline learnt while there was no fault */
+    double loose[THERMAL_POINTS];   /* probability of a loose connector */
+    double kind[THERMAL_KINDS];     /* probability of each kind of fault, after hysteresis */
+    double size_k;                  /* K, likely size of the fault */
+    double log_likelihood;          /* log likelihood of the last block */
+    double fault_probability;       /* probability of any fault, before hysteresis */
     struct imm_state imm;
-    int32_t judged;  /* number of blocks judged so far */
-    uint8_t started; /* 1: the model runs */
+    double driven_mode[IMM_MODES]; /* probabilities of the modes when `parked_s` was last 0 */
+    int32_t judged;                /* number of blocks judged so far */
+    uint8_t started;               /* 1: the model runs */
     uint8_t lost;    /* 1: its inputs were unknown for too long: it has to start again */
     uint8_t held;    /* 1: a fault is reported */
     uint8_t trusted; /* 1: in the last block other motors were compared with it */

@@ -155,6 +155,13 @@ void temperature_add_value(struct temperature_drive *drive, int k, int64_t t_ns,
     s->valid_at = drive->readings;
 }
 
+void temperature_forget_offset(struct temperature_drive *drive, int k)
+{
+    struct temperature_sensor *s = &drive->sensor[k];
+    s->level_c += s->bias_k;
+    s->bias_k = 0.0;
+}
+
 int temperature_sensor_fault(const struct temperature_drive *drive, int k, int64_t now_ns)
 {
     const struct temperature_sensor *s = &drive->sensor[k];

@@ -14,6 +14,9 @@ void temperature_add_reading(struct temperature_drive *drive, int64_t t_ns);
 void temperature_add_value(struct temperature_drive *drive, int k, int64_t t_ns, double value_c,
                            int64_t raw);
 
+/* The steps of sensor k were its return to where it belongs: it has no offset. */
+void temperature_forget_offset(struct temperature_drive *drive, int k);
+
 /* Fault of sensor k: an enum fault_class. FAULT_UNKNOWN if it has never been received, FAULT_NONE
  * if there is no such sensor. */
 int temperature_sensor_fault(const struct temperature_drive *drive, int k, int64_t now_ns);

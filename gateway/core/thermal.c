@@ -147,11 +147,26 @@ static void hold_back_steps(struct temperature_monitor *all)
                 all->window.value[j * P + k] = NAN;
 }
 
+/* A sensor that had crept away and steps back has no offset. The model itself never sees that step:
+ * a sensor with an offset has no valid value. */
+static void forget_returns(struct temperature_monitor *all)
+{
+    for (int j = 0; j < all->drive_count; j++) {
+        for (int k = 0; k < P; k++) {
+            const double step_k = all->sensors[j].sensor[k].bias_k;
+            if (step_k != 0.0 && thermal_sensor_returns(&all->model->motors[j], k, step_k))
+                temperature_forget_offset(&all->sensors[j], k);
+        }
+    }
+}
+
 static void advance_cycle(struct temperature_monitor *all, const struct receiver *receiver,
                           int64_t now_ns)
 {
     for (int j = 0; j < all->drive_count; j++)
         all->motors[j].valid_until_ns = NO_TIME;
+    if (all->model)
+        forget_returns(all);
     temperature_values(all->sensors, all->drive_count, now_ns, all->window.value,
                        all->window.valid);
     all->second_complete = (uint8_t)add_cycle(all, receiver, now_ns);

@@ -106,26 +106,50 @@ static int likeliest(const double *kind, int first, int last)
     return most;
 }
 
-/* Name the fault of a motor that has one. */
+static void name_heat(const double *kind, struct thermal_evidence *out)
+{
+    out->thermal = FLAG_BAD;
+    out->reason = REASON_NONE;
+    out->fault_class = HEAT_CLASS[likeliest(kind, 0, IMM_HEATS)];
+}
+
+/* A loose connector is a sensor that is sometimes off. */
+static void name_sensor(const double *kind, struct thermal_evidence *out)
+{
+    const int c = likeliest(kind, IMM_HEATS, THERMAL_KINDS);
+    out->sensor = FLAG_BAD;
+    out->reason = REASON_NOT_AVAILABLE;
+    out->fault_class = FAULT_SENSOR_BIAS;
+    out->fault_sensor = (uint8_t)(FAULT_ON_STATOR + (c - IMM_HEATS) % P);
+}
+
+/* 1 if a motor is hot, whichever of its sensors have stepped: a step is certain, and the filters get
+ * the readings without it. So it is no alternative to heat, as another sensor's fault is. */
+static int is_hot_beside_steps(const struct thermal_motor *model, double named)
+{
+    double kind[THERMAL_KINDS], heat = 0.0;
+    for (int c = 0; c < THERMAL_KINDS; c++) {
+        const int stepped = c >= IMM_HEATS && model->step[(c - IMM_HEATS) % P].offset_k != 0.0;
+        kind[c] = stepped ? 0.0 : model->kind[c];
+        heat += c < IMM_HEATS ? kind[c] : 0.0;
+    }
+    return model->held && heat > LIKELY && thermal_side(kind, named) > 0;
+}
+
+/* Name the fault of a motor that has one, or a hot motor and its sensor that has stepped. */
 static void name_finding(const struct thermal_motor *model, double named,
                          struct thermal_evidence *out)
 {
     double kind[THERMAL_KINDS];
     thermal_kinds(model, 1, kind);
-    const int side = thermal_side(kind, named);
-    if (side == 0) { /* a hot motor is as likely as a sensor that is off */
+    const int side = thermal_side(kind, named), hot = is_hot_beside_steps(model, named);
+    if (side < 0 || (hot && side == 0))
+        name_sensor(kind, out);
+    if (side > 0 || hot)
+        name_heat(kind, out);
+    if (side == 0 && !hot) { /* a hot motor is as likely as a sensor that is off */
         out->sensor = FLAG_UNKNOWN;
         out->reason = REASON_DIVERGED;
-    } else if (side > 0) {
-        out->thermal = FLAG_BAD;
-        out->reason = REASON_NONE;
-        out->fault_class = HEAT_CLASS[likeliest(kind, 0, IMM_HEATS)];
-    } else { /* a loose connector is a sensor that is sometimes off */
-        const int c = likeliest(kind, IMM_HEATS, THERMAL_KINDS);
-        out->sensor = FLAG_BAD;
-        out->reason = REASON_NOT_AVAILABLE;
-        out->fault_class = FAULT_SENSOR_BIAS;
-        out->fault_sensor = (uint8_t)(FAULT_ON_STATOR + (c - IMM_HEATS) % P);
     }
 }
 
@@ -151,6 +175,20 @@ static void judge_by_model(const struct temperature_monitor *all, int j,
         out->reason = REASON_NONE;
         out->fault_class = FAULT_NONE;
     }
+}
+
+/* Heat of a motor that has a faulty sensor: its other sensors show it as well. Only a fault counts.
+ * With fewer sensors the motor is not known to be good. */
+static void judge_beside_fault(const struct temperature_monitor *all, int j,
+                               struct thermal_evidence *out)
+{
+    struct thermal_evidence found = *out;
+    judge_by_model(all, j, &found);
+    if (found.thermal != FLAG_BAD)
+        return;
+    out->thermal = FLAG_BAD;
+    out->reason = REASON_NONE;
+    out->fault_class = found.fault_class;
 }
 
 /* ---- by comparison of the motors */
@@ -273,6 +311,8 @@ void judge_temperatures(const struct temperature_monitor *all, int j, int64_t no
         out->reason = REASON_NOT_AVAILABLE;
         out->fault_class = (uint8_t)fault;
         out->fault_sensor = (uint8_t)temperature_fault_sensor(sensors, now_ns);
+        if (all->method == THERMAL_MODEL)
+            judge_beside_fault(all, j, out);
         return;
     }
     out->sensor = temperature_not_yet_valid(sensors) ? FLAG_UNKNOWN : FLAG_GOOD;

@@ -162,8 +162,8 @@ def _ill(running: _Running, drive: DriveView) -> None:
 
 
 def _fault(drive: DriveView) -> str:
-    """Class of a fault and, if there is one, its sensor."""
+    """Class of a fault and, if it is one of a sensor, which: a hot motor may have one beside."""
     name = camel(FaultClass(drive.fault_class).name)
-    if drive.fault_sensor is not FaultSensor.NONE:
+    if drive.fault_class in SENSOR_FAULTS and drive.fault_sensor is not FaultSensor.NONE:
         name += f" ({camel(FaultSensor(drive.fault_sensor).name)})"
     return name

@@ -30,11 +30,15 @@ def start(p, speed, air, reading):
 
 
 class Motor:
-    """What is remembered of a motor with parameters p (18,)."""
+    """What is remembered of a motor with parameters p (18,).
+
+    peers (3,) K: the others' residuals, which it starts with as well.
+    """
 
     def __init__(self, p, centre, config):
         self.p, self.centre, self.config = p, centre, config
         self.unknown_s = 0.0
+        self.peers = np.full(3, np.nan)
         self.reset()
 
     def reset(self):
@@ -60,7 +64,8 @@ class Motor:
         if self.lumps is None:
             if not np.isfinite(reading).any():
                 return
-            self.lumps, since = start(p, speed, air, reading - self.centre), c.dt_s
+            shared = np.where(np.isfinite(self.peers), self.peers, 0.0)
+            self.lumps, since = start(p, speed, air, reading - self.centre - shared), c.dt_s
             self.span = self.lumps[0] - self.lumps[2]
         step(p, square, speed, air, np.zeros(5), since, self.lumps)
         rise = max(self.lumps[2] - air, 3.0)

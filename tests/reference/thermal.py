@@ -18,12 +18,14 @@ from tests.stations import not_yet_valid, sensor_verdict, sensors_valid
 NEVER = -(1 << 63)
 POINTS = 3
 BLIND_S, LIKELY = 5.0, 0.5
+IDLE_SAMPLES = 20
 CLASSES = {
     "overheating": FaultClass.OVERHEATING, "cooling_loss": FaultClass.COOLING_LOSS,
     "bearing_de": FaultClass.BEARING, "bearing_nde": FaultClass.BEARING,
     "winding_resistance": FaultClass.WINDING_RESISTANCE,
 }  # fmt: skip
 NOTHING = (FaultClass.UNKNOWN, FaultSensor.NONE)
+NOT_JUDGED = (Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING)
 
 
 def words(motor, kind, unexplained=False, cut_out=False):
@@ -44,15 +46,28 @@ def words(motor, kind, unexplained=False, cut_out=False):
         if motor["fault_probability"] > LIKELY:
             return Flag.UNKNOWN, None, Reason.DIVERGED, *NOTHING
         return Flag.GOOD, None, Reason.NONE, FaultClass.NONE, FaultSensor.NONE
-    whose = int(side(kind))
+    whose, heat = int(side(kind)), CLASSES[KINDS[int(kind[: len(HEAT)].argmax())]]
+    sensor = FaultSensor(int(kind[len(HEAT) :].argmax()) % POINTS + 1)
+    if whose > 0:
+        return Flag.BAD, None, Reason.NONE, heat, FaultSensor.NONE
+    # A sensor that has stepped for certain is no alternative to heat.
+    stepped = np.tile(motor["step"]["offset_k"] != 0.0, 2)
+    beside = motor["kind"].copy()
+    beside[len(HEAT) :][stepped] = 0.0
+    hot = motor["held"] and beside[: len(HEAT)].sum() > LIKELY and int(side(beside)) > 0
+    if stepped.any() and hot:
+        return Flag.BAD, Flag.BAD, Reason.NONE, heat, sensor
     if whose == 0:
         return Flag.UNKNOWN, Flag.UNKNOWN, Reason.DIVERGED, *NOTHING
-    if whose > 0:
-        name = KINDS[int(kind[: len(HEAT)].argmax())]
-        return Flag.BAD, None, Reason.NONE, CLASSES[name], FaultSensor.NONE
-    point = int(kind[len(HEAT) :].argmax()) % POINTS
-    bias = FaultClass.SENSOR_BIAS, FaultSensor(point + 1)
-    return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, *bias
+    return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, FaultClass.SENSOR_BIAS, sensor
+
+
+def beside_fault(kind, whose, told):
+    """The same of a motor with a faulty sensor; told: `words` of its model, whose heat counts."""
+    thermal, _, why, heat, _ = told
+    if thermal is Flag.BAD:
+        return thermal, Flag.BAD, why, heat, whose
+    return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, kind, whose
 
 
 class Temperatures:
@@ -74,6 +89,7 @@ class Temperatures:
         self.kept, self.until = [None] * n, [NEVER] * n
         self.driven_a = driven_a
         self.square, self.cut_out, self.left_out = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
+        self.idle = np.zeros(n, int)
         self.averages = self.known = self.deviation = None
         self.spread = np.full(POINTS, np.nan)
 
@@ -136,11 +152,15 @@ class Temperatures:
                 self.mean[j] = np.nansum(rows, axis=0) / np.where(there, there, np.nan)
         self.rows = [[] for _ in self.rows]
         measured = np.isfinite(self.mean[:, POINTS])
-        square = np.minimum(self.mean[measured, POINTS], (100.0 * self.driven_a) ** 2)
-        self.square[measured] += (square - self.square[measured]) / 30.0
+        square = np.minimum(self.mean[:, POINTS], (100.0 * self.driven_a) ** 2)
+        self.square[measured] += (square - self.square)[measured] / 30.0
+        highest = square[measured].max(initial=0.0)
+        if highest > self.driven_a**2:
+            without = square < highest / 400.0  # false without a value
+            self.idle = np.where(without, self.idle + 1, np.where(measured, 0, self.idle))
         largest = self.square[measured].max(initial=0.0)
         if largest > self.driven_a**2:
-            self.cut_out = self.square < largest / 400.0
+            self.cut_out = (self.square < largest / 400.0) | (self.idle >= IDLE_SAMPLES)
 
     def report(self, j, now):
         """Evidence of one motor: flags, reason, class, sensor, temperature and MAISD."""
@@ -161,17 +181,20 @@ class Temperatures:
         sensors = self.side.sensors
         kind, whose = sensor_verdict(sensors, j, now)
         if kind is not FaultClass.NONE:
-            found = Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, kind, whose
-            return *found, mixed, largest
+            told = NOT_JUDGED if self.side.model is None else self._by_model(j)
+            return *beside_fault(kind, whose, told), mixed, largest
         sensor = Flag.UNKNOWN if not_yet_valid(sensors, j) else Flag.GOOD
         if self.calibration is None:
-            thermal, own, why, *fault = Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING
+            thermal, own, why, *fault = NOT_JUDGED
         elif self.side.model is None:
             thermal, own, why, *fault = self._unlike(j)
         else:
-            monitor, out = self.side.model, bool(self.cut_out[j])
-            thermal, own, why, *fault = words(monitor.motors[j], monitor.kinds()[0][j], cut_out=out)
+            thermal, own, why, *fault = self._by_model(j)
         return thermal, sensor if own is None else own, why, *fault, mixed, largest
+
+    def _by_model(self, j):
+        monitor, out = self.side.model, bool(self.cut_out[j])
+        return words(monitor.motors[j], monitor.kinds()[0][j], cut_out=out)
 
     def _unlike(self, j):
         if self.left_out[j]:

@@ -9,7 +9,7 @@ import pytest
 from estimators.thermal import model
 from estimators.thermal.model import TYPICAL, Inputs, predict
 from estimators.thermal.monitor import OWN_K
-from gateway.core.codes import FaultClass, Flag, Reason
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.core.inbox import Temperatures
 from gateway.core.supervision import Supervision
 from gateway.hil.fitting import scenario_thermal
@@ -99,8 +99,8 @@ class Rig:
         self.others = Others(NODES, self.side)
         self.k = 0
 
-    def run(self, seconds, drives=None, extra=None):
-        """extra (3, 5): heat in the lumps, K/s."""
+    def run(self, seconds, drives=None, extra=None, faulty=None):
+        """extra (3, 5): heat in the lumps, K/s; faulty: function of the readings of motor 1."""
         n = 10 * seconds
         lines = drives or [Line(8.0), Line(8.0), Line(8.0)]
         inputs = Inputs(
@@ -114,9 +114,10 @@ class Rig:
             now = self.k * 100 * MS
             noisy = np.round(row + rng.normal(0.0, 0.1, (3, 3)), 1)
             beside = self.others.say(lines, now)
-            self.side.add_readings(
-                [reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, beside
-            )
+            readings = [reading(j, now, (*noisy[j], 20.0)) for j in range(3)]
+            if faulty is not None:
+                readings[1] = faulty(readings[1])
+            self.side.add_readings(readings, now, beside)
         self.last = out[-1]
         return [self.side.report(j, now, 310 * MS) for j in range(3)]
 
@@ -132,6 +133,53 @@ def test_healthy_motors_are_good_and_a_hot_winding_is_named():
     assert [r.thermal for r in reports] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
     assert reports[1].fault_class in (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)
     assert reports[1].sensor is Flag.GOOD, "the sensor is right: it is hot"
+
+
+def with_end(celsius):
+    """Fault of the sensor at the non-drive end: a function of its reading, None: it is lost."""
+
+    def apply(one):
+        *others, end, ambient = one.celsius
+        given = celsius(end)
+        values = (*others, end if given is None else given, ambient)
+        valid = (True, True, given is not None, True)
+        return one._replace(celsius=values, valid=valid, raw=tuple(round(10 * c) for c in values))
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("celsius", "kind"),
+    [
+        (lambda _: None, FaultClass.SENSOR_LOST),
+        (lambda _: 44.4, FaultClass.SENSOR_STUCK),
+        (lambda c: c + 8.0, FaultClass.SENSOR_BIAS),
+    ],
+)
+def test_a_faulty_sensor_hides_no_heat_and_is_none_itself(celsius, kind):
+    rig, fault = Rig(), with_end(celsius)
+    rig.run(120)
+    for report in rig.run(600, faulty=fault)[1:2]:
+        assert (report.thermal, report.sensor) == (Flag.UNKNOWN, Flag.BAD)
+        assert (report.reason, report.fault_class) == (Reason.NOT_AVAILABLE, kind)
+    hot = np.zeros((3, 5))
+    hot[1, model.WINDING] = 0.1
+    report = rig.run(60, extra=hot, faulty=fault)[1]
+    assert (report.thermal, report.sensor, report.reason) == (Flag.BAD, Flag.BAD, Reason.NONE)
+    assert report.fault_class in (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)
+    assert report.fault_sensor is FaultSensor.NON_DRIVE_END
+
+
+@pytest.mark.parametrize("rate", [-0.012, -0.02])
+def test_a_sensor_that_crept_and_is_mended_has_no_offset(rate):
+    """It steps back by more than a step's limit, which no motor's temperature does."""
+    rig, crept = Rig(), np.minimum(np.arange(9000) / 10.0, 500.0) * rate
+    rig.run(120)
+    creep = iter(crept)
+    assert rig.run(900, faulty=with_end(lambda c: c + next(creep)))[1].sensor is Flag.BAD
+    assert (rig.side.sensors.drives["sensor"]["limit_k"] < abs(crept[-1])).all()
+    mended = rig.run(300)[1]
+    assert (mended.thermal, mended.sensor) == (Flag.GOOD, Flag.GOOD)
 
 
 @pytest.mark.parametrize("line", [Line(fresh=False), Line(irms=None), Line(speed=None)])

@@ -62,11 +62,13 @@ def test_residuals_equal_the_reference(seed, tested):
         current = monitor.currents
         current["cut_out"] = np.arange(MOTORS) == n // 45 - 1
         monitor.record["position"] = k
+        own["peers_k"] = peers = rng.choice([-8.0, 0.0, 5.0, np.nan], (MOTORS, 3))
         lib.thermal_add_sample(
             monitor.pointer, pointer("double", reading.copy()),
             pointer("struct thermal_input", inputs),
         )  # fmt: skip
         for m, one in enumerate(plain):
+            one.peers = peers[m]
             one.add(k, reading[m], *given[:, m], bool(current["cut_out"][m]))
         without = less_steps(plain)
         for m, one in enumerate(plain):
@@ -85,12 +87,13 @@ def test_residuals_equal_the_reference(seed, tested):
 
 
 def test_of_a_motor_that_is_reset_nothing_is_known():
-    """But whether its inputs are, and what others are compared with."""
+    """But whether its inputs are, what others are compared with, and what it is compared with."""
     monitor, _ = train(np.random.default_rng(1), tested=True)
     own = monitor.motors[:1].copy()
     fresh = own.copy()
     own.view(np.uint8)[:] = 1
-    kept = {name: own[name] for name in ("unknown_s", "trusted", "lost", "compared_k", "absent_s")}
+    names = ("unknown_s", "trusted", "lost", "compared_k", "absent_s", "peers_k")
+    kept = {name: own[name] for name in names}
     for name, value in kept.items():
         fresh[name] = value
     for name in ("middle_k", "off_k", "window", "block", "raw"):

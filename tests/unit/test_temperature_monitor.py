@@ -233,13 +233,14 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         for k in range(3):
             side.motors["valid_until_ns"] = NEVER
             told = side.report(k, bus.now, 1 << 60)
-            thermal, own, *rest = reference.words(
-                motors[k], kinds[k], unexplained[k], out["cut_out"][k]
-            )
-            if sensor_verdict(side.sensors, k, bus.now)[0] is not FaultClass.NONE:
-                continue
-            sensor = Flag.UNKNOWN if not_yet_valid(side.sensors, k) else Flag.GOOD
-            wanted = (thermal, sensor if own is None else own, *rest)
+            words = reference.words(motors[k], kinds[k], unexplained[k], out["cut_out"][k])
+            fault, whose = sensor_verdict(side.sensors, k, bus.now)
+            if fault is not FaultClass.NONE:
+                wanted = reference.beside_fault(fault, whose, words)
+            else:
+                sensor = Flag.UNKNOWN if not_yet_valid(side.sensors, k) else Flag.GOOD
+                thermal, own, *rest = words
+                wanted = (thermal, sensor if own is None else own, *rest)
             assert tuple(told[:5]) == wanted
             met.add(wanted)
     assert {kind for *_, kind, _ in met} >= set(FaultClass) - {

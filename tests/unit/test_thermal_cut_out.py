@@ -34,10 +34,9 @@ def test_it_is_not_judged_until_some_blocks_after_it_is_driven_again(known):
     assert not out[:, others].any()
     assert not held[:, others].any()
     assert not out[:OUT, ILL].any()
-    # The mean over half a minute is down to 1/400 after six of them; the others' changes as well.
-    assert 120 <= np.flatnonzero(out[:, ILL])[0] - OUT <= 300
-    assert out[OUT + 300 : IN, ILL].all()
-    assert not judged[OUT + 300 : IN, ILL].any()
+    assert np.flatnonzero(out[:, ILL])[0] - OUT == 19, "twenty samples without current"
+    assert out[OUT + 20 : IN, ILL].all()
+    assert not judged[OUT + 20 : IN, ILL].any()
     assert not out[IN + 5 :, ILL].any()
     assert not held[IN:, ILL].any()
     assert judged[-1, ILL] > 100

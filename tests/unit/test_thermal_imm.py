@@ -83,12 +83,12 @@ def test_a_share_of_a_sensor_that_is_off_counts_for_heat_there(sensor):
     modes, mean, cov = beliefs(imm.MODES, 3)
     mode = np.where(np.arange(len(modes)) == 1 + imm.HEATS + sensor, 1.0, 1e-30)
     doubting = CONFIG.copy()
-    doubting["ambiguous"] = 0.3
-    for size_k in (8.0, -8.0):
+    doubting["ambiguous"], doubting["ambiguous_low"] = 0.3, 0.2
+    for size_k, share in ((8.0, 0.3), (-8.0, 0.2)):
         mean[:, imm.SIZE] = size_k
         own = imm.state(mode, mean, cov)
         (before, size), (kind, same) = imm.kinds(CONFIG, own), imm.kinds(doubting, own)
-        moved = 0.3 * before[imm.HEATS + sensor]
+        moved = share * before[imm.HEATS + sensor]
         want = before.copy()
         want[[imm.HEATS + sensor, (0, 2, 3)[sensor]]] += [-moved, moved]
         np.testing.assert_allclose(kind, want, atol=1e-9)

@@ -5,8 +5,8 @@ import pytest
 
 from estimators.thermal import model
 from estimators.thermal import model_method as method
-from estimators.thermal.hypotheses import HEAT, KINDS
-from estimators.thermal.monitor import GAP_S, ThermalMonitor
+from estimators.thermal.hypotheses import HEAT, KINDS, side
+from estimators.thermal.monitor import GAP_S, MISFIT_K, ThermalMonitor, followed
 from estimators.thermal.record import Record
 from tests.thermal_core import SIZE, start, step
 
@@ -55,10 +55,12 @@ def made(kind, size_k, square, speed):
 
 
 def train(
-    seed, k=2 * HOUR, kind=None, size_k=8.0, onset=HOUR // 2, error=None, air=None, cold=False
-):
+    seed, k=2 * HOUR, kind=None, size_k=8.0, onset=HOUR // 2, error=None, air=None, cold=False,
+    parked=slice(0),
+):  # fmt: skip
     """A record at 1 Hz; error (K, M, 3) K of its sensors; air (K,) degC that nobody measures."""
     square, speed, ambient = duty(seed, k)
+    square[parked], speed[parked] = 0.0, 0.0
     real = ambient if air is None else air
     none = np.zeros((MOTORS, model.EXTRA))
     state = np.full((MOTORS, model.LUMPS), ambient[0])
@@ -159,6 +161,26 @@ def test_nothing_cools_a_motor_but_a_sensor(known, point):
     found(known, train(34, error=error), KINDS[5 + point], 900)
 
 
+@pytest.mark.parametrize(("motors", "named"), [(3, 0), (4, -1)])
+def test_where_models_fit_less_a_sensor_that_reads_low_is_named_beside_three_motors(
+    known, motors, named
+):
+    """Beside two, one of them may be hot instead: that moves the median of both."""
+    error = np.zeros((2 * HOUR, MOTORS, 3))
+    error[HOUR // 2 :, ILL, 1] = -np.minimum(np.arange(3 * HOUR // 2) * 0.01, 8.0)
+    record, kept = train(36, error=error), slice(motors)
+    part = record._replace(
+        temperature=record.temperature[:, kept], current_square=record.current_square[:, kept]
+    )
+    fleet = known._replace(
+        parameters=known.parameters[kept], centre=known.centre[kept], noise=known.noise[kept],
+        own_k=2.0 * MISFIT_K, coverage=None,
+    )  # fmt: skip
+    _, held, kinds = watched(fleet, part, work=motors)
+    assert held[-HOUR // 4 :, ILL].all()
+    assert set(side(kinds[-HOUR // 4 :, ILL]).tolist()) == {named}
+
+
 @pytest.mark.parametrize("point", range(3))
 def test_a_sensor_that_crept_and_is_changed_is_well_again(known, point):
     """What steps back to where it was has no step."""
@@ -202,6 +224,32 @@ def test_holes_in_the_inputs_are_no_faults(known, length, motors):
 @pytest.mark.parametrize("seed", [61, 62])
 def test_one_motor_that_begins_anew_beside_others_is_not_suspected(known, seed):
     assert not watched(known, train(seed, HOUR), (1800, 1890, [1]))[1].any()
+
+
+@pytest.mark.parametrize("warmer_k", [-15.0, 15.0, 30.0])
+def test_in_weather_that_nobody_measures_a_motor_begins_anew_beside_the_others(known, warmer_k):
+    """All motors differ from their models by it, and this one does again from its first sample."""
+    record = train(64, HOUR, air=duty(64, HOUR)[2] + warmer_k)
+    record.current_square[1800:1890, 1] = np.nan
+    monitor = ThermalMonitor(known, 1.0)
+    off = [monitor.motors["off_k"][1].copy() for _ in followed(monitor, record)]
+    assert np.isnan(off[1889]).all()
+    assert np.nanmax(np.abs(off[1890:])) < 5.0 < 0.5 * np.abs(monitor.motors["peers_k"]).min()
+
+
+@pytest.mark.parametrize("goes_on", [3 * HOUR // 2, 2 * HOUR])
+def test_after_ten_minutes_a_parked_motor_is_what_it_was_when_it_stopped(known, goes_on):
+    """One that cools more slowly, by 3 K, has no fault, then and after it has gone on; a hot one
+    stays hot for as long as it is warmer."""
+    stops, slower = 2 * HOUR // 3, np.zeros((2 * HOUR, MOTORS, 3))
+    since = np.clip((np.arange(2 * HOUR) - stops) / 4000.0, 0.0, 1.0)
+    slower[:, ILL] = 3.0 * np.sin(np.pi * since)[:, None]
+    record = train(92, error=slower, parked=slice(stops, goes_on))
+    assert not watched(known, record)[1][stops + 660 :].any()
+    hot = train(92, kind="cooling_loss", size_k=15.0, parked=slice(stops, goes_on))
+    _, held, _ = watched(known, hot)
+    assert held[stops : stops + 600, ILL].all()
+    assert not np.delete(held, ILL, axis=1).any()
 
 
 @pytest.mark.parametrize("everywhere", [False, True])
