@@ -287,6 +287,14 @@ static void compare_speeds(struct train_tick *t, int first)
     }
 }
 
+/* Forget how a wheel has come back from a slide: that is no acceleration of its train. */
+static void forget_slide(struct rotor *r)
+{
+    if (isnan(r->speed) || isnan(r->slow_speed))
+        return;
+    r->slow_speed = r->quick_speed = copysign(r->speed * r->diameter, r->slow_speed);
+}
+
 /* Find rotors that are too far from the others to adhere. */
 static void find_apart(struct train_tick *t, int first)
 {
@@ -313,7 +321,10 @@ static void find_apart(struct train_tick *t, int first)
                                        : is_off_train(t, r) || slip_of(t, r) > MOST_CREEP;
         const int beyond = off && !left;
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
-        r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);
+        const int back = r->apart && r->near_s >= NEAR_S;
+        r->apart = r->near_s == 0.0 || (r->apart && !back);
+        if (back)
+            forget_slide(r);
         r->uncertain = r->uncertain || beyond;
     }
 }

@@ -272,6 +272,13 @@ def _runs_away(k: int, effort: float, train: Train) -> bool:
     return bool(slip > MOST_CREEP and effort * _own_change(k, train) > LEARN_CREEP)
 
 
+def _forget_slide(k: int, train: Train) -> None:
+    """How wheel k has come back from a slide is no acceleration of its train."""
+    speed, slow = abs(train.speed[k] * train.diameter[k]), train.slow_speed[k]
+    if not (math.isnan(speed) or math.isnan(slow)):
+        train.slow_speed[k] = train.quick_speed[k] = math.copysign(speed, slow)
+
+
 def _speed_of_others(k: int, braking: bool, train: Train) -> float:
     """Median speed of the others that are followed, else of all; NaN without any."""
     others = _others(k, True, braking, train)
@@ -351,7 +358,10 @@ def _compare_speeds(
         far = far or _slip(k, -1.0 if braking else 1.0, train) > MOST_CREEP
         beyond = (abs(train.creep[k]) > MOST_CREEP if math.isnan(slip) else far) and not stays
         train.near_s[k] = 0.0 if beyond else train.near_s[k] + tick_s
-        train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < NEAR_S)
+        back = train.apart[k] and train.near_s[k] >= NEAR_S
+        train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and not back)
+        if back:
+            _forget_slide(k, train)
         train.uncertain[k] = train.uncertain[k] or beyond
     _learn_diameters(tick_s, flag, operating, train)
 
