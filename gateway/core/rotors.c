@@ -35,9 +35,10 @@
 #define SPEEDS_APART       0.05
 #define SPEEDS_APART_RAD_S 1.0
 #define TURNS_RAD_S        1.0 /* from this speed on, its sign is no noise */
-/* An estimate that has been followed for a shorter time may still converge from a wrong start: if
- * it differs by more than LEARN_CREEP, the measured speed is used instead. */
-#define FOLLOWED_S 0.2
+/* An estimate of the filter that has been followed for a shorter time may still converge from a
+ * wrong start, also while the train crawls and the load observer is in use: if it differs by more
+ * than LEARN_CREEP, the measured speed is used instead. */
+#define FOLLOWED_S 1.0
 #define MOST_CREEP                                                                                 \
     0.08 /* limit for a rotor against the others, which creep by a percent or two themselves */
 #define MOST_APART 0.1 /* the same, diameters included, while its diameter is not known */
@@ -74,7 +75,7 @@ static int note_rotor(const struct train_tick *t, struct rotor *r, const struct 
         r->followed_s = 0.0;
         return 0;
     }
-    r->followed_s += t->tick_s;
+    r->followed_s = in->by_observer ? 0.0 : r->followed_s + t->tick_s;
     r->speed = tracked_speed(r, in, t->now_ns);
     if (fabs(in->speed_rad_s) >= TURNS_RAD_S)
         r->forward = in->speed_rad_s < 0.0 ? -1 : 1;

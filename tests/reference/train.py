@@ -38,9 +38,9 @@ SPEEDS_APART_RAD_S: Final = 1.0
 others; `Motion` is up to 10 ms old."""
 TURNS_RAD_S: Final = 1.0
 """From this speed on, its sign is no noise."""
-FOLLOWED_S: Final = 0.2
+FOLLOWED_S: Final = 1.0
 """A speed by the currents that has been followed for less may be on its way from a guess: beyond
-`LEARN_CREEP` from it, `Motion` goes before it."""
+`LEARN_CREEP` from it, `Motion` goes before it. Not followed while the observer is used."""
 MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
 MOST_APART: Final = 0.1
@@ -179,7 +179,8 @@ def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) ->
     for k in range(measured.shape[0]):
         tracking, speed = told.health[k] == Health.TRACKING, measured[k]
         train.load[k] = math.nan
-        train.followed_s[k] = train.followed_s[k] + tick_s if tracking else 0.0
+        observed = told.estimates["by_observer"][k]
+        train.followed_s[k] = train.followed_s[k] + tick_s if tracking and not observed else 0.0
         if tracking:
             # Where the two speeds differ, neither is a measure for others.
             off = abs(speed - told.speed[k])
