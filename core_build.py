@@ -128,6 +128,7 @@ SOURCES = (
     "gateway/core/train.c",
     "gateway/core/train_speed.c",
     "gateway/core/loads.c",
+    "gateway/core/common_loss.c",
     "gateway/core/switching_loss.c",
     "gateway/core/adhesion.c",
     "gateway/core/creep.c",

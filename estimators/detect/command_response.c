@@ -73,15 +73,38 @@ int is_asked(const struct command_response *drive)
     return drive->usable && !is_coasting(drive);
 }
 
-/* Probability of a deficit, from the load alone. */
-static double deficit_probability(const struct command_response *drive,
-                                  const struct load_spread *all, const struct load_ratio *ratio,
-                                  double load, double least)
+/* Note what is missing of the least load that the drive must carry, if it carries `load`. */
+static void note_missing(struct command_response *drive, const struct load_spread *all,
+                         const struct load_ratio *ratio, double load, double least)
 {
     const double sign = drive->command > 0.0 ? 1.0 : -1.0;
-    const double missing = least * (1.0 - THRESHOLD) - sign * load / ratio->ratio;
-    const double sigma = normalised_sigma(all, ratio, load, 1.0, 0.0);
-    return 0.5 * erfc(-missing / sigma * SQRT_HALF);
+    drive->least_load = least * (1.0 - THRESHOLD);
+    drive->missing = drive->least_load - sign * load / ratio->ratio;
+    drive->missing_sigma = normalised_sigma(all, ratio, load, 1.0, 0.0);
+}
+
+/* Probability of a deficit, from the missing load alone. */
+static double deficit_probability(const struct command_response *drive)
+{
+    return 0.5 * erfc(-drive->missing / drive->missing_sigma * SQRT_HALF);
+}
+
+/* Probability of a deficit; `braked`: the missing load may slow the rotor, if friction brakes slow
+ * its train as much. */
+static double find_deficit(struct command_response *drive, const struct load_spread *all,
+                           const struct load_ratio *ratio, double least)
+{
+    note_missing(drive, all, ratio, drive->load, least);
+    const double p = deficit_probability(drive);
+    if (!(p > OPEN))
+        return p;
+    note_missing(drive, all, ratio, drive->braked_load, least);
+    const double slowed = deficit_probability(drive);
+    drive->braked = slowed <= OPEN;
+    if (drive->braked)
+        return slowed;
+    note_missing(drive, all, ratio, drive->load, least);
+    return p;
 }
 
 /* 1 if a large part of the load has suddenly gone, and the rotor is free. */
@@ -98,14 +121,8 @@ double respond(struct command_response *drive, const struct load_spread *all,
 {
     const double least = least_command(drive);
     *valid = drive->usable && least >= LEAST_COMMAND;
-    double p = *valid ? deficit_probability(drive, all, ratio, drive->load, least) : 0.0;
     drive->braked = 0;
-    if (p > OPEN) {
-        /* The missing load may slow the rotor, if friction brakes slow its train as much. */
-        const double slowed = deficit_probability(drive, all, ratio, drive->braked_load, least);
-        drive->braked = slowed <= OPEN;
-        p = drive->braked ? slowed : p;
-    }
+    const double p = *valid ? find_deficit(drive, all, ratio, least) : 0.0;
     const double more = spins_up(drive, least) ? CONFIRMED_S : dt;
     drive->deficit_s = p > STANDS ? drive->deficit_s + more : 0.0;
     if (!*valid)

@@ -59,6 +59,7 @@ void adhesion_reset(struct adhesion *a, double spread)
     if (a->switching)
         switching_reset(a->switching);
     a->common_mode = (struct flag){.state = FLAG_UNKNOWN, .evidence = FLAG_UNKNOWN};
+    a->common_loss = (struct common_loss){.missing_s = 0.0};
     a->learn_ns = a->flagged_ns = NO_TIME;
     a->common = 0.0;
     a->common_smoothed = NAN;
@@ -83,6 +84,7 @@ static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
         in->previous_command_nm = drives[k].previous_command;
         in->operating = drives[k].operating;
         in->adhesion = status[k].flag[FLAG_ADHESION].state;
+        in->by_observer = estimates[k].by_observer;
         in->not_judged = 0;
     }
     assess_train(a->rotors, a->rotor_inputs, a->n, now_ns, a->tick_s, a->workspace);

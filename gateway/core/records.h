@@ -291,6 +291,9 @@ struct command_response {
     double previous_command; /* torque command before that */
     double command_age_s;    /* time since the command was sent, s */
     double deficit_s;        /* time for which too little load has been carried, s; 0: no deficit */
+    double least_load;       /* least load that it must carry; this and the next two: if valid */
+    double missing;          /* what is missing of that */
+    double missing_sigma;    /* standard deviation of `missing` */
     uint8_t usable;          /* 1: load and command are known */
     uint8_t braked;          /* 1: friction brakes are assumed to explain the missing load */
 };
@@ -824,7 +827,8 @@ struct rotor_inputs {
     uint8_t adhesion;           /* enum flag_state: adhesion flag of the last tick */
     uint8_t operating;          /* 1: the drive is in operation */
     uint8_t command_valid;      /* 1: the command is known; cleared if it cannot be right */
-    uint8_t not_judged;         /* output, 1: the estimate of the drive is not used */
+    uint8_t by_observer; /* 1: the estimate is that of the load observer, not of the filter */
+    uint8_t not_judged;  /* output, 1: the estimate of the drive is not used */
 };
 
 /* One temperature sensor; the first three are constants. Stamps: INT64_MIN before the first. */
@@ -1448,6 +1452,7 @@ struct motion {
     struct load_observer observer; /* state after the last reading */
     double load_nm;                /* load used in the tick before, Nm; NaN: none */
     double offset_nm;       /* remainder of the difference when the source last changed, Nm */
+    double difference_nm;   /* mean load of the filter minus that of the observer, Nm; NaN: none */
     double smooth_speed;    /* speed of the filter without its noise, rad/s; NaN: none */
     int64_t reading_ns;     /* stamp of the last reading */
     int64_t readings;       /* number of readings since the observer started */
@@ -1544,6 +1549,12 @@ struct drive_load {
     uint8_t by_observer;     /* 1: the load is that of the observer */
 };
 
+/* Load that all drives together are missing (common_loss.c). */
+struct common_loss {
+    double least_load; /* mean load that they must carry, after a lag; 0: not known */
+    double missing_s;  /* time for which some of it has been missing, s; 0: nothing is */
+};
+
 /* State of the adhesion station; `adhesion_reset` sets it to nothing remembered. */
 struct adhesion {
     /* constants */
@@ -1576,10 +1587,11 @@ struct adhesion {
     struct switching *switching;        /* NULL: another detector compares the drives */
     struct flag common_mode;            /* all drives have lost adhesion at once */
     int64_t learn_ns;                   /* stamp when ratios are learnt next; NO_TIME: at once */
-    int64_t flagged_ns;     /* stamp of the last tick with any adhesion flag bad; NO_TIME: none */
-    double common;          /* load that adhering drives share, by the detector */
-    double common_smoothed; /* the same, smoothed */
-    uint8_t comparable;     /* 1: drives carry enough load to be compared */
+    int64_t flagged_ns; /* stamp of the last tick with any adhesion flag bad; NO_TIME: none */
+    struct common_loss common_loss; /* of the detector `switching` */
+    double common;                  /* load that adhering drives share, by the detector */
+    double common_smoothed;         /* the same, smoothed */
+    uint8_t comparable;             /* 1: drives carry enough load to be compared */
 };
 
 /* ---- Estimates by the filters (gateway/core/estimate.c) ---- */

@@ -1,8 +1,7 @@
 /* The detector `switching`: from the switching model to the probability that the flags use.
  *
  * The switching model (estimators/detect/switching.c) compares the drives. No comparison detects
- * that all drives have lost adhesion at once: this is derived from their command responses, and
- * accepted if every drive that adheres, relative to the others, stays behind its own command.
+ * that all drives have lost adhesion at once: common_loss.c derives this from their commands.
  *
  * Unknown is a valid result: a drive that is not certain to adhere or to be lost has no flag.
  *
@@ -15,6 +14,7 @@
 #include "estimators/detect/command_response.h"
 #include "estimators/detect/switching.h"
 #include "estimators/numbers.h"
+#include "gateway/core/common_loss.h"
 #include "gateway/core/rotors.h"
 
 #define MOST_LOAD 2.0  /* per unit of rated torque; no drive carries more */
@@ -24,8 +24,8 @@
                        /* at the end of a loss the probability is late, not wrong */
 #define ANSWERS 0.1    /* largest probability of a deficit of a drive that carries what is asked */
 #define FULL_COMMAND 0.9 /* share of the largest command of the last seconds */
-#define COUNTS 0.5 /* least probability of adhering of a drive that counts, and of a loss of them */
-#define ACCUSED 0.7
+#define COUNTS       0.5 /* probability of a drive that adheres, or that stays behind its command */
+#define ACCUSED      0.7
 /* Common load, per unit of rated torque, from which the comparison alone is evidence of a loss:
  * with less, the friction of each wheel is as large as a loss. */
 #define ACCUSING_LOAD 0.2
@@ -108,22 +108,6 @@ void compare_by_memory(struct adhesion *a)
         a->loss_known[k] = count >= 2 && a->known[k];
     }
     a->common = s->demand;
-}
-
-/* Probability that all drives together carry less than they are asked for; 0 if not known. */
-static double all_lost(const struct adhesion *a)
-{
-    double least = HUGE_VAL;
-    for (int k = 0; k < a->n; k++) {
-        if (!a->known[k])
-            continue;
-        if (!a->responses[k].usable)
-            return 0.0;
-        const struct drive_load *mine = &a->loads[k];
-        if (a->switching->adhering[k] > COUNTS)
-            least = smaller(mine->response_valid ? mine->p_response : 0.0, least);
-    }
-    return least >= COUNTS && least <= 1.0 ? least : 0.0;
 }
 
 /* 1 if a drive adheres and turns with the others, so that others can be lost beside it. If none
@@ -272,7 +256,7 @@ static void clear_loss(struct adhesion *a, int k)
 void judge_by_memory(struct adhesion *a, const struct drive_status *status, int little,
                      int64_t now_ns)
 {
-    const double all = all_lost(a);
+    const double all = follow_common_loss(a);
     const int any = any_adheres(a), asked = any_asked(a);
     for (int k = 0; k < a->n; k++) {
         struct rotor *r = &a->rotors[k];

@@ -60,7 +60,7 @@ STATE: dict[str, str] = {
     "inputs.status": "",
     "motion.motions": (
         "observer load_nm offset_nm reading_ns readings unlocked_ns disagree_ticks started aliasing"
-        " crawls by_observer implausible smooth_speed"
+        " crawls by_observer implausible smooth_speed difference_nm"
     ),
     "motion.checks": (
         "current samples repeats block_repeats repeated_s base deviation learnt angle_ns"
@@ -77,7 +77,8 @@ STATE: dict[str, str] = {
     "adhesion.ratios": "",
     "adhesion.response_ratios": "",
     "adhesion.record": (
-        "response_spread spread common_mode learn_ns flagged_ns common common_smoothed comparable"
+        "response_spread spread common_mode learn_ns flagged_ns common_loss common common_smoothed"
+        " comparable"
     ),
     "thermal.sensors.drives": (
         "received_ns first_ns readings sensor.seen sensor.saturated sensor.step_count sensor.raw"

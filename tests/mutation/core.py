@@ -84,6 +84,7 @@ TESTS = {
         "estimators/detect/switching_mixture.c", "estimators/detect/switching_noise.c",
     ), ("tests/unit/test_switching_reference.py", "tests/unit/test_switching.py")),
     "gateway/core/switching_loss.c": ("tests/unit/test_adhesion_reference.py",),
+    "gateway/core/common_loss.c": ("tests/unit/test_adhesion_reference.py",),
     "estimators/detect/load_reference.c": RESPONSE,
     "estimators/detect/command_response.c": RESPONSE,
     "estimators/elementary.c": ("tests/unit/test_elementary.py",),

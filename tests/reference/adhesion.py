@@ -33,7 +33,7 @@ from estimators.detect.variational import VariationalDetector
 from gateway.core.codes import NEVER, Flag, Health
 from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
-from tests.reference import regrip
+from tests.reference import common_loss, regrip
 from tests.reference.train import LEAST_SPEED_RAD_S, MOST_CREEP
 
 DERATING_NS: Final = 2_000_000_000
@@ -84,6 +84,7 @@ class Adhesion:
         self.speed, self.gain = [math.nan] * n, [0.0] * n
         self.any_flagged_ns = self.learn_ns = NEVER
         self.smoothed, self.comparable = math.nan, False
+        self.together = common_loss.CommonLoss()
 
     def _learnt(self, spread: float) -> Any:
         made = SimpleNamespace(all=np.zeros(1, LOAD_SPREAD), drives=np.zeros(self.n, LOAD_RATIO))
@@ -128,6 +129,7 @@ class Adhesion:
         one["health"], one["command_nm"] = told.health, slow.command
         one["previous_command_nm"], one["operating"] = slow.before, slow.operating
         one["command_valid"], one["adhesion"], one["not_judged"] = commanded, flag, 0
+        one["by_observer"] = told.estimates["by_observer"]
         lib.assess_train(
             pointer("struct rotor", self.rotors), pointer("struct rotor_inputs", one), self.n, now,
             self.tick_s, pointer("double", np.zeros(2 * self.n)),
@@ -225,12 +227,9 @@ class Adhesion:
         compared = self._limited([0.0] * self.n, (self.known & two).tolist())
         little = min(abs(self.smoothed), abs(self.common)) < MORE_LOAD
         usable = self.responses["usable"] == 1
-        asked = [
-            alone[k] if valid[k] else 0.0
-            for k in range(self.n) if self.known[k] and adhering[k] > 0.5
-        ]  # fmt: skip
-        everyone = min(asked, default=0.0) if usable[self.known].all() else 0.0
-        everyone = everyone if 0.5 <= everyone <= 1.0 else 0.0
+        counts = np.flatnonzero(self.known & (adhering > 0.5)).tolist()
+        meant = usable[self.known].all() and all(valid[k] for k in counts)
+        everyone = self.together.follow(self, alone, counts if meant else [])
         self.lost, self.lost_known, self.severe = [], [], []
         anyone = any(lib.is_asked(each + k) for k in range(self.n))
         holding = self.known & (adhering >= 0.5) & (self.rotors["far"] == 0)

@@ -76,16 +76,21 @@ class Heard(NamedTuple):
 
 class Memory(NamedTuple):
     """reference: load over command in health; since_s (N,): how long a deficit stands, 0 none;
-    braked (N,): friction brakes may be its cause."""
+    braked (N,): friction brakes may be its cause; lack, sigma (N,): load that is missing where a
+    response means something."""
 
     reference: Reference
     since_s: Array
     braked: Flags
+    lack: Array
+    sigma: Array
 
 
 def start(n: int, spread: float) -> Memory:
     """Nothing heard yet; `spread` per unit of rated torque."""
-    return Memory(reference.start(n, spread), np.zeros(n), np.zeros(n, dtype=np.bool_))
+    return Memory(
+        reference.start(n, spread), np.zeros(n), np.zeros(n, dtype=np.bool_), *np.zeros((2, n))
+    )
 
 
 def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Flags]:
@@ -119,7 +124,11 @@ def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Fla
     confirmed = heard.age_s + LAG_S + dt <= since
     lost = np.where((lost > OPEN) & ~confirmed, OPEN, lost)
     meant = heard.usable & (least >= LEAST_COMMAND)
-    return Memory(memory.reference, since, braked), np.where(meant, lost, OPEN), meant
+    carried = np.where(braked, heard.braked, heard.load)
+    lack = least * (1.0 - THRESHOLD) - memory.reference.referred(carried) * sign
+    sigma = memory.reference.sigma(carried)
+    after = Memory(memory.reference, since, braked, lack, sigma)
+    return after, np.where(meant, lost, OPEN), meant
 
 
 def learn(memory: Memory, heard: Heard, healthy: Flags, dt: float) -> Memory:

@@ -129,6 +129,8 @@ def test_responding(n):
         np.testing.assert_array_equal(valid, meant)
         np.testing.assert_allclose(kept.records["deficit_s"], plain.since_s, **CLOSE)
         np.testing.assert_array_equal(kept.records["braked"], plain.braked)
+        for name, wanted in (("missing", plain.lack), ("missing_sigma", plain.sigma)):
+            np.testing.assert_allclose(kept.records[name][meant], wanted[meant], **CLOSE)
         coasting = [lib.is_coasting(kept.each + k) for k in range(n)]
         np.testing.assert_array_equal(coasting, response.coasting(now))
         met |= {
