@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
-from dbc.bounds import Strict, within
+from dbc.toml_files import Strict, within
 
 Quantity = Literal[
     "Ia", "Ib", "Ic", "Ialpha", "Ibeta", "Id", "Iq", "ElectricalAngle", "Ualpha", "Ubeta", "Ud",
