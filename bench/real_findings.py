@@ -30,8 +30,8 @@ from bench.real_recordings import (
 )
 from dbc.frame import SECOND
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
-from gateway.core.inbox import Temperatures
 from gateway.settings.calibration import POINTS, Calibration
+from tests.stations import Temperatures
 
 FROZEN_S: Final = 60.0
 """When HB2 is made to hold its value, s of F0's judged part: no real sensor of these did."""

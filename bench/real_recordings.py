@@ -20,12 +20,11 @@ from dbc.candump.reader import Reader
 from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.core.flags import Timing
 from gateway.core.gateway import SENSOR
-from gateway.core.inbox import Temperatures
 from gateway.settings.calibration import POINTS, Calibration, MotorCalibration
 from gateway.settings.sections import Thermal
 from gateway.study.calibrating import Learner
 from gateway.study.temperature_reader import CycleLog
-from tests.stations import TemperatureMonitor, debounce, flag
+from tests.stations import TemperatureMonitor, Temperatures, debounce, flag
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "temperatures"
 TICK_NS: Final = 10 * MS

@@ -23,11 +23,11 @@ from dbc.codec import Codec, bind
 from dbc.e2e import protect
 from dbc.frame import Frame
 from gateway import cli
-from gateway.core.inbox import Temperatures
 from gateway.io.prepare import prepare
 from gateway.settings.calibration import to_toml
 from gateway.settings.config import Config, parse
 from tests.inverters import write_dbc
+from tests.stations import Temperatures
 
 KONA: Final = "can_logs/kona_ev_2019_pcan_ccan_off_on_ready_off.log"
 CASCADIA: Final = ("healthy_572A", "open_sensor_trips")

@@ -59,6 +59,16 @@ class SmState(IntEnum):
     INVALID = lib.E2E_SM_INVALID
 
 
+def p02_data_ids(can_id: int) -> bytes:
+    """Profile 2 list of a CAN id: entry i = ((id ^ (id >> 6) * 16) & 0xFF) ^ 2i ^ 4i, i = 0..15.
+
+    The rule for a DBC that lists none. The lists of all messages of the set differ, and every error
+    of up to three bits is detected, errors in the counter (which selects the entry) included.
+    """
+    base = (can_id ^ (can_id >> 6) * 16) & 0xFF
+    return bytes(base ^ (2 * i) ^ (4 * i) for i in range(16))
+
+
 def configs(specs: Sequence[MessageSpec]) -> Records:
     """Protection of these messages, (N,) of `struct e2e_config`."""
     found = np.zeros(len(specs), E2E_CONFIG)

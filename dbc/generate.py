@@ -11,8 +11,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from dbc.dataids import p02_data_ids
-from dbc.e2e import Profile
+from dbc.e2e import Profile, p02_data_ids
 from dbc.frame import MS
 from dbc.messages import DRIVES, GATEWAY, NOT_AVAILABLE, Entry, Field, messages
 from dbc.spec import MessageSpec, SignalSpec

@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from dbc.dataids import p02_data_ids
-from dbc.e2e import HEADER_BYTES, Profile
+from dbc.e2e import HEADER_BYTES, Profile, p02_data_ids
 from dbc.layout import bits_of
 from dbc.spec import SignalSpec
 

@@ -207,12 +207,10 @@ class Scenario:
     def run(self, config: FilePath | None = None) -> Judged:
         """Run the simulated drives against the gateway. Raises ConfigError."""
         from gateway.hil.bench import run_virtual
-        from gateway.hil.fitting import fitting
-        from gateway.hil.own_motor import with_motor_of
+        from gateway.hil.fitting import fitted
 
         path = None if config is None else Path(config)
-        used, codec = fitting(path, self.scenario)
-        scenario = self.scenario if path is None else with_motor_of(used, self.scenario)
+        scenario, used, codec = fitted(path, self.scenario)
 
         def again(kept: Reporting) -> Facts:
             from gateway.reports.reporting import span_facts

@@ -53,17 +53,9 @@ own."""
 
 
 _BRIEF = {
-    "replay",
-    "check",
-    "convert",
-    "explain",
-    "dbc",
-    "examples",
-    "calibrate",
-    "keygen",
-    "sign",
+    "replay", "check", "convert", "explain", "dbc", "examples", "calibrate", "keygen", "sign",
     "verify",
-}
+}  # fmt: skip
 """Verbs that leave no thread or process running, so that the program may end at once."""
 
 

@@ -15,10 +15,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from dbc.bounds import within
-from dbc.near_key import did_you_mean
 from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
-from dbc.toml_lines import numbered
+from dbc.toml_files import did_you_mean, numbered, within
 from sim.physics.adhesion import rail
 from sim.scenario_schema import (
     BusModel,

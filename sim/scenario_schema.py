@@ -9,8 +9,8 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from dbc.bounds import Within as Bounds
-from dbc.bounds import within
+from dbc.toml_files import Within as Bounds
+from dbc.toml_files import within
 from sim.physics.adhesion import rail
 from sim.physics.plant import MOTORS, Motor
 

@@ -112,11 +112,6 @@ class Simulation:
         self._ready: list[Frame] = []
         self._truth: list[Truth] = []
 
-    @property
-    def now_s(self) -> float:
-        """Seconds since the start."""
-        return self._now_ns * 1e-9
-
     def inject(self, event: Event) -> None:
         """Add an event while the world runs; the part of it that lies in the past has no effect.
 

@@ -16,15 +16,52 @@ import gateway.core.inputs
 import gateway.core.integrity
 import gateway.core.motion
 import gateway.core.thermal
+from dbc.frame import Nanos
 from dbc.frames import Block, block_of
 from dbc.records import FLAG, FLAG_INPUTS, pointer
+from dbc.spec import VALID
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.inbox import USABLE
 from gateway.core.thermal import AMBIENT
 from gateway.core.view import Wear
 from gateway.settings.calibration import POINTS
 from gateway.study.calibrating import Sample
 from tests import columns
 from tests.sample_rows import samples_of
+
+
+class Temperatures(NamedTuple):
+    """One reading of a drive's points (stator, drive end, non-drive end, ambient), degC.
+
+    celsius is NaN where not `valid`. raw: tenths of a degree, -1 if none.
+    """
+
+    drive: int
+    t_ns: Nanos
+    celsius: tuple[float, ...]
+    valid: tuple[bool, ...]
+    raw: tuple[int, ...]
+
+
+def temperatures_of(inbox):
+    """Readings of the last tick."""
+    space = inbox.receiver.space
+    rows = space["temperature_rows"][: inbox.receiver.pointer.tick.temperatures].tolist()
+    return [_temperature(inbox.channels[space["channel"].item(k)], space, k) for k in rows]
+
+
+def _temperature(channel, space, row):
+    value, valid = space["value"][row].tolist(), space["validity"][row].tolist()
+    usable = channel.quality < 0 or value[channel.quality] in USABLE
+    good = tuple(usable and valid[k] == VALID for k in channel.picked)
+    kept = tuple(zip(channel.picked, good, strict=True))
+    return Temperatures(
+        channel.drive,
+        space["t_ns"].item(row),
+        tuple(value[k] if ok else math.nan for k, ok in kept),
+        good,
+        tuple(round(value[k] * 10.0) if ok else -1 for k, ok in kept),
+    )
 
 
 class Report(NamedTuple):

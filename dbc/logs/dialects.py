@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import ERROR, TX
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
 from dbc.logs.format import Format, Head, Line, framed
 from dbc.logs.pattern import Pattern
-from dbc.logs.printed import Printed
 from dbc.logs.screen import Screen
 from dbc.logs.times import DAY_NS, Differences, clock_ns
 
@@ -48,6 +47,13 @@ _NOTE: Final = re.compile(r"\d+\.\d+ +\d*C[A-Z]{2}\b")
 """A line of CRTD without a frame."""
 _KIND: Final = re.compile(r"(\d*)([RT])(11|29)")
 _BUSMASTER_KIND: Final = re.compile(r"[sx](?:r|-fd)?")
+_PRINTED_LINE: Final = re.compile(
+    r"^(?:[ \t]*Timestamp:[ \t]*(-?\d+\.\d+)[ \t]+ID:[ \t]*([0-9a-f]{3,8})[ \t]+([XS])"
+    r"((?:[ \t]+(?:[RT]x|[ERF]|BS|EI))*)[ \t]+DLC?:[ \t]*(\d{1,2})((?:[ \t]+[0-9a-f]{2})*)"
+    r"(?:[ \t]+'[^\n]*')?(?:[ \t]+Channel: (\S{1,21}))?[ \t]*|(.*))$",
+    re.MULTILINE,
+)
+_PRINTED_FLAGS: Final = {"Tx": TX, "E": ERROR, "R": REMOTE, "F": FD, "BS": BRS, "EI": ESI}
 
 
 class BusMaster(Pattern):
@@ -119,6 +125,40 @@ class Crtd(Pattern):
     def line(self, text: str) -> Line:
         """Parse a line without a frame; the recorder's events and statistics are comments."""
         return Line(Verdict.COMMENT) if _NOTE.match(text.strip()) else super().line(text)
+
+
+class Printed(Format):
+    """Frames as python-can prints them: its `.txt` logs, and the screen output of `can_logger`.
+
+        Timestamp: 1.5    ID:  181    S Rx F BS    DL: 2    01 02    'ab'    Channel: can0
+
+    `X`: 29 bits; `E` error, `R` remote, `F` CAN FD, `BS` BRS, `EI` ESI. Older versions print `DLC:`
+    and no direction. The data are followed by their letters and digits as text, and by the channel.
+    """
+
+    regex = _PRINTED_LINE
+    order = (0, 1, 2, 3, 4, 6, 5, 7)
+    has_names = True
+    """The channel is at the end, so that an unterminated last line may always be incomplete."""
+
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """Head from `id kind flags length channel`."""
+        digits, kind, words, length, channel = parts
+        flags = 0
+        for word in words.split():
+            flags |= _PRINTED_FLAGS.get(word, 0)
+        number, size = int(digits, 16), int(length)
+        if kind == "X" and not flags & ERROR:
+            flags |= EXTENDED
+        if flags & REMOTE:
+            return Head(number, flags, 0, channel, size or -1)
+        return Head(number, flags, size, channel)
+
+    def line(self, text: str) -> Line:
+        """Parse a line without a frame, such as those `can_logger` prints before the first one."""
+        if not text.strip():
+            return Line(Verdict.BLANK)
+        return self._unknown()
 
 
 _OWN: Final[dict[str, Callable[[], Format]]] = {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from gateway.commands.common import GOOD, add_config, shown
 from gateway.commands.progress import Progress, track_file
+from gateway.io.console import note
 from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
@@ -46,9 +47,7 @@ def run(options: argparse.Namespace) -> int:
     Raises ConfigError, and writes nothing, if the logs do not contain what the method needs.
     """
     if options.adhesion:
-        from gateway.commands import calibrate_adhesion
-
-        return calibrate_adhesion.run(options)
+        return _adhesion(options)
     from gateway.core.thermal import NO_MODEL
     from gateway.io.extras import pictures
     from gateway.io.replay import BadLogError, OneChannel, open_log
@@ -113,3 +112,42 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
 
     done = replay(blocks, new_gateway, config.loop.period_ns, Briefly(lambda _frames: None, add))
     add(done.gateway)
+
+
+def _adhesion(options: argparse.Namespace) -> int:
+    """Print `fault_free` for `[adhesion]`, and what it promises.
+
+    Raises ConfigError if the logs have no whole minute.
+    """
+    from gateway.core.gateway import Gateway
+    from gateway.io.replay import Briefly, OneChannel, open_log, replay
+    from gateway.settings.config import ConfigError
+    from gateway.settings.sections import Adhesion
+    from gateway.study.fault_free import Evidence, at_once, largest
+
+    given, codec = prepare(options.config)
+    config, evidence = at_once(given), Evidence()
+
+    def gateway(start: int) -> Gateway:
+        evidence.begin_log(start)
+        return Gateway(config, codec, start)
+
+    for log in options.log:
+        tracked = track_file(open_log(log, strict=False), log, log.name)
+        frames = OneChannel(tracked, options.log_channel)
+        sink = Briefly(lambda _frames: None, evidence.follow_flags)
+        done = replay(frames, gateway, config.loop.period_ns, sink)
+        evidence.end_log(done.gateway.now_ns)
+    longest = evidence.longest_ms
+    if not len(longest):
+        raise ConfigError("calibrate --adhesion", ["the logs have less than a minute together"])
+    times = largest(longest)
+    print(f"fault_free = {{ minutes = {len(longest)}, longest_ms = {times} }}")
+    rate = given.adhesion.false_alarms_per_1000_h
+    if rate is None:
+        note("put this line into [adhesion], and state false_alarms_per_1000_h")
+        return GOOD
+    measured = {"minutes": len(longest), "longest_ms": times}
+    stated = Adhesion.model_validate({"false_alarms_per_1000_h": rate, "fault_free": measured})
+    note(f"adhesion: {stated.promise}")
+    return GOOD

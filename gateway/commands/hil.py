@@ -22,7 +22,7 @@ from gateway.commands.common import (
     names_bus,
 )
 from gateway.commands.progress import Progress, stepped
-from gateway.hil.fitting import fitting
+from gateway.hil.fitting import fitted
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
@@ -121,11 +121,7 @@ def _one(
     options: argparse.Namespace, name: str, scenario: Any, folder: Path | None, runs: list[Run]
 ) -> tuple[Outcome, int]:
     """Verdicts, and the configuration's hash on the bus; adds the run to `runs` for a report."""
-    config, codec = fitting(options.config, scenario, options)
-    if options.config is not None:
-        from gateway.hil.own_motor import with_motor_of
-
-        scenario = with_motor_of(config, scenario)
+    scenario, config, codec = fitted(options.config, scenario, options)
     if folder is None:
         outcome = _outcome(options, name, scenario, config, codec)
     else:

@@ -103,17 +103,12 @@ def _recorded(
     options: argparse.Namespace, scenarios: Iterable[tuple[str, Scenario]]
 ) -> Iterator[Recorded]:
     """Recordings of the correct gateway in each scenario."""
-    from gateway.hil.fitting import fitting
+    from gateway.hil.fitting import fitted
     from gateway.hil.mutating import record
 
     every = list(scenarios)
     for name, scenario in track(every, "scenarios", len(every)):
-        config, codec = fitting(options.config, scenario, options)
-        if options.config is not None:
-            from gateway.hil.own_motor import with_motor_of
-
-            scenario = with_motor_of(config, scenario)  # noqa: PLW2901 the same, with its motor
-        yield record(name, scenario, config, codec)
+        yield record(name, *fitted(options.config, scenario, options))
 
 
 def _cures(options: argparse.Namespace, missed: list[Result], known: set[str]) -> Iterator[str]:

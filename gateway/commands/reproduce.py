@@ -90,7 +90,6 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
     from gateway.study import reproduction as table_1
     from gateway.study import reproduction_figures as figures
     from gateway.study import reproduction_loads as bench
-    from gateway.study import reproduction_network as network
     from gateway.study import reproduction_paths as paths
     from gateway.study import reproduction_report as report
     from gateway.study import reproduction_variants as variants
@@ -113,7 +112,7 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
         step("standing starts")
         starts = [section5.standing_start(scenario, seed) for seed in seeds]
         step("networks without a central unit")
-        networks = network.rows(main.load)
+        networks = variants.networks_of(main.load)
         step("tables")
         zero_locked = section5.locked(zero.speed, world)
         outcome = report.Outcome(

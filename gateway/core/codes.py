@@ -96,13 +96,7 @@ class GatewayState(IntEnum):
 
 
 REJECTED: Final = (
-    "error",
-    "repeated",
-    "wrong_sequence",
-    "wrong_length",
-    "not_yet_valid",
-    "not_available",
-    "range",
-    "time_back",
-)
+    "error", "repeated", "wrong_sequence", "wrong_length", "not_yet_valid", "not_available",
+    "range", "time_back",
+)  # fmt: skip
 """Counters of frames with one of our ids whose content was not used."""

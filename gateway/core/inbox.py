@@ -7,15 +7,13 @@ as the reason why the affected flag is unknown.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 from dbc.codec import Codec
 from dbc.frame import Nanos
 from dbc.frames import Block
-from dbc.spec import VALID
 from gateway.core import channel, inputs, receiving
 from gateway.core.channel import Channel
 from gateway.core.inputs import NONE
@@ -31,19 +29,6 @@ USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
 OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
 """Heartbeat and emergency of node 32, the gateway."""
-
-
-class Temperatures(NamedTuple):
-    """One reading of a drive's points (stator, drive end, non-drive end, ambient), degC.
-
-    celsius is NaN where not `valid`. raw: tenths of a degree, -1 if none.
-    """
-
-    drive: int
-    t_ns: Nanos
-    celsius: tuple[float, ...]
-    valid: tuple[bool, ...]
-    raw: tuple[int, ...]
 
 
 class DriveInput:
@@ -136,24 +121,3 @@ class Inbox:
             if count:
                 found[name] += count
         return found
-
-    @property
-    def temperatures(self) -> list[Temperatures]:
-        """Readings of the tick, for displays."""
-        seen = self.receiver.space["temperature_rows"][: self.receiver.pointer.tick.temperatures]
-        return [self._temperature(row) for row in seen.tolist()]
-
-    def _temperature(self, row: int) -> Temperatures:
-        space = self.receiver.space
-        one = self.channels[space["channel"].item(row)]
-        value, valid = space["value"][row].tolist(), space["validity"][row].tolist()
-        usable = one.quality < 0 or value[one.quality] in USABLE
-        points = one.picked
-        good = tuple(usable and valid[k] == VALID for k in points)
-        return Temperatures(
-            one.drive,
-            space["t_ns"].item(row),
-            tuple(value[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
-            good,
-            tuple(round(value[k] * 10.0) if ok else -1 for k, ok in zip(points, good, strict=True)),
-        )

@@ -17,8 +17,7 @@ from _traction_core import ffi
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from dbc.records import MOTION, MOTION_MONITOR, Addressed, Records
-from gateway.core import plausibility
+from dbc.records import MOTION, MOTION_MONITOR, PLAUSIBILITY, Addressed, Records
 from gateway.core.channel import SAMPLE_NS
 from gateway.core.estimate import Bank
 from gateway.core.inputs import InputMonitor
@@ -38,6 +37,10 @@ TURNS: Final = 2.0
 """Times the least observable speed: above it a filter finds its rotor."""
 CRAWLS: Final = 1.5
 """Times the least observable speed: below it the load comes from `Motion`, if there is one."""
+LEAST_STEPS: Final = 10.0
+LEAST_SHARE: Final = 0.01
+"""An unchanged current is a repeated one if it should have changed by more than both: steps of its
+resolution, and per unit of rated current (noise)."""
 
 Array = NDArray[np.float64]
 
@@ -75,7 +78,7 @@ class MotionMonitor(Addressed):
         n = len(motors)
         self.receiver, self.inputs, self.bank, self.rotors = receiver, inputs, bank, rotors
         self.motions = _motions(motors, config, times.speed_step)
-        self.checks = plausibility.checks(motors, current_step_a)
+        self.checks = _checks(motors, current_step_a)
         self.others: Array = np.full((n, n), np.nan)
         """Rows of all drives' measured speeds, rad/s, when `Motion` of some drive last changed."""
         self.noted, self.taken = np.arange(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
@@ -119,4 +122,16 @@ def _motions(motors: Sequence[Motor], config: Estimator, speed_step: float) -> R
     ]
     made["pole_pairs"] = [m.pole_pairs for m in motors]
     made["load_nm"] = made["difference_nm"] = made["smooth_speed"] = np.nan
+    return made
+
+
+def _checks(motors: Sequence[Motor], step_a: float) -> Records:
+    """`plausibility` of every drive; nothing received yet. step_a: resolution of the currents."""
+    made = np.zeros(len(motors), PLAUSIBILITY)
+    rated_a = np.array([m.I_rated for m in motors])
+    made["torque_per_a"] = [m.k_p * m.pole_pairs * m.psi_pm for m in motors]
+    made["rated_a"], made["rated_nm"] = rated_a, [m.T_rated for m in motors]
+    made["least_change_a"] = np.maximum(LEAST_STEPS * step_a, LEAST_SHARE * rated_a)
+    for name in ("speed", "torque", "command"):
+        made[name] = np.nan
     return made

@@ -24,8 +24,44 @@ if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
     from dbc.secoc_sender import Authenticator
 
+Alter = Callable[[list[Frame], Nanos], list[Frame]]
+"""(frames that a gateway sends, now) -> the frames on the bus instead."""
 Watch = Callable[[Nanos, list[Frame], list[Frame], Gateway], None]
 """(now, frames from the drives, frames from the gateway, the gateway)"""
+
+
+class Tick(NamedTuple):
+    """Frames on the bus in one tick; stamps count from the start of the bench."""
+
+    now_ns: Nanos
+    drives: list[Frame]
+    gateway: list[Frame]
+
+
+def unaltered(frames: list[Frame], _now: Nanos) -> list[Frame]:
+    """The gateway as it is."""
+    return frames
+
+
+class VirtualBus:
+    """Drives and a gateway, which starts them, on a virtual clock that starts at 0."""
+
+    def __init__(self, simulation: Simulation, gateway: Gateway, alter: Alter = unaltered) -> None:
+        """The gateway must not have run yet."""
+        self.simulation, self._gateway, self._alter = simulation, gateway, alter
+        self._node = CanopenNode(gateway.nodes, nmt_master=True)
+        self._now: Nanos = 0
+        self._sent: list[Frame] = []
+
+    def step(self) -> Tick:
+        """Run the next tick of both sides."""
+        now, self._now = self._now, self._now + self._gateway.config.loop.period_ns
+        came = self.simulation.step(self._sent, now)
+        self._sent = self._alter(self._gateway.step(came, now), now) + self._node.step(came, now)
+        return Tick(now, came, self._sent)
+
+    def close(self) -> None:
+        """Do nothing: there is no bus to leave."""
 
 
 class Outcome(NamedTuple):
@@ -91,21 +127,16 @@ def run_virtual(
         scenario, codec, nodes=config.nodes, self_start=False, verifier=verifier
     )
     gateway = Gateway(config, codec, 0, authenticator)
-    node = CanopenNode(config.nodes, nmt_master=True)
     if begin is not None:
         begin(gateway)
-    track = FlagTrack(codec, config.nodes)
-    period = config.loop.period_ns
-    sent: list[Frame] = []
-    for tick in range(round(scenario.duration_s * config.loop.rate_hz) + 1):
-        now = tick * period
-        received = simulation.step(sent, now)
+    bus, track = VirtualBus(simulation, gateway), FlagTrack(codec, config.nodes)
+    for _ in range(round(scenario.duration_s * config.loop.rate_hz) + 1):
+        tick = bus.step()
         rows = simulation.truth_rows()
         if truth is not None:
             truth(rows)
-        sent = gateway.step(received, now) + node.step(received, now)
-        track.add(sent)
+        track.add(tick.gateway)
         for look in watch:
-            look(now, received, sent, gateway)
+            look(*tick, gateway)
     verdicts = judge(scenario.expect, track, touched_drives(scenario), 0)
     return Outcome(scenario, verdicts, gateway)

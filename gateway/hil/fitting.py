@@ -50,3 +50,15 @@ def fitting(
     drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
     config = config.model_copy(update={"drive": drives})
     return config, bind(config.dbc_path, config.nodes)
+
+
+def fitted(
+    path: Path | None, scenario: Scenario, signature: argparse.Namespace | None = None
+) -> tuple[Scenario, Config, Codec]:
+    """As `fitting`, with the scenario; in a file's configuration its drives have that motor."""
+    config, codec = fitting(path, scenario, signature)
+    if path is not None:
+        from gateway.hil.own_motor import with_motor_of
+
+        scenario = with_motor_of(config, scenario)
+    return scenario, config, codec

@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dbc.codec import Codec
-from dbc.frame import Frame, Nanos
 from gateway.core.gateway import Gateway
+from gateway.hil.bench import VirtualBus
 from gateway.hil.fitting import fitting
 from gateway.hil.simbus import run_on_bus
 from gateway.hil.slip_controllers import CreepControl, FlagLaw, Timid, late, none, oracle
@@ -22,7 +22,6 @@ from gateway.hil.slip_plant import MOTOR, START_M_S, TRAIN, BrakingTrain, Contro
 from gateway.hil.slip_rails import AXLES, Track
 from gateway.hil.slip_score import Score, score
 from gateway.io.bus import open_transport
-from gateway.io.canopen_node import CanopenNode
 from gateway.io.live import Stop
 from gateway.io.permission import drives_only
 from gateway.settings.config import Config
@@ -98,15 +97,12 @@ def ride_with_gateway(track: Track, longest_s: float = LONGEST_S) -> Run:
     """One run with our gateway on a virtual bus."""
     config, codec = configured(track)
     bench = Bench(track, codec, tuple(config.nodes))
-    gateway, node = Gateway(config, codec, 0), CanopenNode(config.nodes, nmt_master=True)
-    sent: list[Frame] = []
-    period: Nanos = config.loop.period_ns
-    for tick in range(round(longest_s * config.loop.rate_hz) + 1):
-        received = bench.step(sent, tick * period)
+    bus = VirtualBus(bench, Gateway(config, codec, 0))
+    for _ in range(round(longest_s * config.loop.rate_hz) + 1):
+        bus.step()
         bench.truth_rows()  # discarded, as they are not used
         if bench.train.stopped:
             break
-        sent = gateway.step(received, tick * period) + node.step(received, tick * period)
     moments = bench.train.moments
     return Run(track, OURS, moments, score(track, moments))
 

@@ -82,11 +82,8 @@ class BlfFile:
         """Objects of classic data and remote frames."""
         objects = np.zeros(block.size, CLASSIC_FIELDS)
         objects["signature"], objects["header"], objects["version"] = _LOBJ, 32, 1
-        objects["size"], objects["kind"], objects["flags"] = (
-            objects.itemsize,
-            _MESSAGE,
-            _NANOSECONDS,
-        )
+        objects["size"], objects["kind"] = objects.itemsize, _MESSAGE
+        objects["flags"] = _NANOSECONDS
         objects["stamp"] = block.t_ns - self._start_ns
         numbers = np.array([self._channels.number(name) + 1 for name in block.names], np.uint16)
         objects["channel"] = numbers[block.channel]
@@ -139,24 +136,10 @@ class BlfFile:
         size = self._file.tell()
         self._file.seek(0)
         fields = (
-            b"LOGG",
-            _HEADER_BYTES,
-            5,
-            0,
-            0,
-            0,
-            2,
-            6,
-            8,
-            1,
-            size,
-            self._unpacked,
-            self.written,
-            0,
-        )
-        self._file.write(
-            FILE.pack(*fields, *_system_time(self._start_ns), *_system_time(self._last_ns))
-        )
+            b"LOGG", _HEADER_BYTES, 5, 0, 0, 0, 2, 6, 8, 1, size, self._unpacked, self.written, 0,
+        )  # fmt: skip
+        times = (*_system_time(self._start_ns), *_system_time(self._last_ns))
+        self._file.write(FILE.pack(*fields, *times))
         self._file.close()
 
 

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dbc.codec import Codec
-from dbc.dataids import p02_data_ids
-from dbc.e2e import Profile
+from dbc.e2e import Profile, p02_data_ids
 from dbc.frame import MS, Nanos
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
 from gateway.settings.config import Config, ConfigError, Motor

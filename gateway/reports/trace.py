@@ -81,12 +81,6 @@ class Envelope:
         t_s, k = self._low[:end, 0], column + 1
         return Curve(t_s, self._low[:end, k], self._high[:end, k])
 
-    @property
-    def last_s(self) -> float:
-        """Time of the last row; NaN before any."""
-        self._put()
-        return self._high.item(self.used - 1, 0) if self.used else _NAN
-
     def _put(self) -> None:
         """Merge the held chunk into the bins."""
         if not self._rows:

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationError
 
-from dbc.bounds import Strict, within
 from dbc.text import read_bytes, read_toml, toml_text
-from dbc.toml_lines import numbered
+from dbc.toml_files import Strict, numbered, within
 from estimators.thermal import model
 from estimators.thermal.monitor import OWN_K, RAISE, Coverage, Known
 from estimators.thermal.promise import Hours, promise_of

@@ -13,11 +13,8 @@ from typing import Any, Final, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from dbc.bounds import Strict
-from dbc.near_key import did_you_mean
 from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
-from dbc.toml_lines import numbered
-from gateway.settings.inverters import share
+from dbc.toml_files import Strict, did_you_mean, numbered
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.settings.sections import (
     Adhesion,
@@ -30,6 +27,7 @@ from gateway.settings.sections import (
     Loop,
     Thermal,
 )
+from gateway.settings.signal_map import share
 
 __all__ = ["BENCH_MOTOR", "TRACTION_350KW", "Config", "ConfigError", "Motor", "load", "parse"]
 

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Self
 
 from pydantic import model_validator
 
-from dbc.bounds import Strict, Within, within
+from dbc.toml_files import Strict, Within, within
 
 TORQUE_RATIO: Final = Within(0.25, 2.5, "", "")
 """T_rated over the torque of the magnets at I_rated: reluctance torque, saturation and a rated

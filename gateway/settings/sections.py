@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from dbc.bounds import Strict, within
+from dbc.toml_files import Strict, within
 from estimators.adhesion_promise import promise_of
 from estimators.tolerance import STORED, Promise
 from gateway.settings.signal_map import Signals

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -191,29 +191,23 @@ def evaluate(
     for family in plan.families:
         if not WORLDS[plan.world].families[family].varied:
             fitted(plan, plan.detectors[0], _drawn(plan, family, plan.seeds[0]))
-    lines = []
-    with _workers(jobs) as run:
-        for family in plan.families:
-            began = time.monotonic()
-            results = []
-            for result in run(partial(one_run, plan, family), plan.seeds):
-                results.append(result)
-                after_run()
-            lines += _lines(plan, family, results)
+    from gateway.io.workers import mapped
+
+    runs = list(product(plan.families, plan.seeds))
+    found: dict[str, list[tuple[Measured, ...]]] = {family: [] for family in plan.families}
+    began = time.monotonic()
+    results = mapped(partial(_run_of, plan), runs, jobs)
+    for (family, _), result in zip(runs, results, strict=True):
+        found[family].append(result)
+        after_run()
+        if len(found[family]) == len(plan.seeds):
             after_family(family, time.monotonic() - began)
-    return lines
+            began = time.monotonic()
+    return [line for family in plan.families for line in _lines(plan, family, found[family])]
 
 
-@contextmanager
-def _workers(jobs: int) -> Iterator[Callable[..., Iterator[tuple[Measured, ...]]]]:
-    """Yield `map` in this process, or in `jobs` processes; results keep the order of the tasks."""
-    if jobs <= 1:
-        yield map
-        return
-    from gateway.io.workers import workers
-
-    with workers(jobs) as pool:
-        yield pool.map
+def _run_of(plan: Plan, which: tuple[str, int]) -> tuple[Measured, ...]:
+    return one_run(plan, *which)
 
 
 def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> list[Line]:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.reports import page
-from gateway.study import reproduction_network as network
 from gateway.study import reproduction_variants as variants
 from gateway.study.reproduction import STATISTICS, Cell, agreement
 from gateway.study.reproduction_paths import Comparison
@@ -50,7 +49,7 @@ class Outcome(NamedTuple):
     starts: list[StandingStart]
     strengths: list[tuple[float, NDArray[np.float64]]]
     variants: list[variants.Variant]
-    networks: list[network.Row]
+    networks: list[variants.NetworkRow]
 
 
 def write(folder: Path, outcome: Outcome) -> None:
@@ -66,7 +65,7 @@ def markdown(outcome: Outcome) -> str:
         *_differences(outcome.cells),
         *_strengths(outcome),
         *variants.section(outcome.variants),
-        *network.section(outcome.networks),
+        *variants.network_section(outcome.networks),
         *_starts(outcome),
         *wire(outcome.comparison),
         *_figures(),

@@ -14,7 +14,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gateway.study.scenarios_mismatch import MISMATCHES, Mismatch, tables
+from gateway.study.scenarios_groups import (
+    MISMATCHES,
+    SLIP_LENGTH_S,
+    Mismatch,
+    braked,
+    slipping,
+    tables,
+)
 from gateway.study.scenarios_random import (
     DEPTH,
     LENGTH_S,
@@ -27,7 +34,6 @@ from gateway.study.scenarios_random import (
     random_scenario,
     sign,
 )
-from gateway.study.scenarios_slide import SLIP_LENGTH_S, braked, slipping
 from sim.physics.plant import BENCH, MOTORS, TRAIN, TRAINS
 from sim.scenario import Scenario, parse
 

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from gateway.commands.common import FAILED, INCONCLUSIVE
-from gateway.hil.overload import ON_THE_WIRE
+from gateway.hil.buses import ON_THE_WIRE
 from sim.scenario import builtin, builtin_names
 from tests.hil.chain import ATTEMPTS, Recording, excused, memory_folder, program, setting
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import AfterValidator, BaseModel
 
-from dbc.bounds import Within
 from dbc.codec import bind
+from dbc.toml_files import Within
 from gateway.core.gateway import Gateway
 from gateway.hil.synthetic_loss import losses
 from gateway.settings.config import Config, ConfigError, parse

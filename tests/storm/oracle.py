@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from crccheck.crc import Crc8Autosar
 
-from dbc.dataids import p02_data_ids
+from dbc.e2e import p02_data_ids
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND
 from gateway.core.codes import Health
 from tests.storm.train import TICK

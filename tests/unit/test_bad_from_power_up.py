@@ -3,10 +3,9 @@
 import pytest
 
 from gateway.core.codes import FaultClass, Flag, Reason
-from gateway.core.inbox import Temperatures
 from tests.fleet_limits import calibration, motor
 from tests.sender import MS
-from tests.stations import TemperatureMonitor
+from tests.stations import TemperatureMonitor, Temperatures
 
 PERIOD = 100 * MS
 

@@ -7,7 +7,7 @@ import pytest
 from dbc import generate as build
 from dbc import load as binding
 from dbc.codec import bind
-from dbc.dataids import p02_data_ids
+from dbc.e2e import p02_data_ids
 from dbc.load import load
 from tests.programs import loaded
 

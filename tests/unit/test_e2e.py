@@ -10,7 +10,6 @@ from crccheck.crc import Crc8Autosar, Crc16Ibm3740
 
 from dbc import generate as build
 from dbc.codec import bind
-from dbc.dataids import p02_data_ids
 from dbc.e2e import (
     COUNTERS,
     HEADER_BYTES,
@@ -22,6 +21,7 @@ from dbc.e2e import (
     SmState,
     counter_of,
     crc_ok,
+    p02_data_ids,
     protect,
 )
 

@@ -10,7 +10,6 @@ from estimators.thermal import model
 from estimators.thermal.model import TYPICAL, Inputs, predict
 from estimators.thermal.monitor import OWN_K
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
-from gateway.core.inbox import Temperatures
 from gateway.core.supervision import Supervision
 from gateway.hil.fitting import scenario_thermal
 from gateway.settings import calibration
@@ -25,7 +24,7 @@ from gateway.settings.calibration import (
 from gateway.settings.config import ConfigError
 from gateway.study.calibrating import Learner, Sample
 from tests.sender import codec_for
-from tests.stations import Inbox, TemperatureMonitor
+from tests.stations import Inbox, TemperatureMonitor, Temperatures
 
 MS = 1_000_000
 NODES = (1, 2, 3)

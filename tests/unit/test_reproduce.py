@@ -16,8 +16,8 @@ from gateway.commands import reproduce, section5
 from gateway.settings.config import shipped_dbc
 from gateway.study import reproduction as table_1
 from gateway.study import reproduction_loads as bench
-from gateway.study import reproduction_network as network
 from gateway.study import reproduction_paths as paths
+from gateway.study import reproduction_variants as variants
 from gateway.study.reproduction_figures import thinned
 from sim.scenario import builtin
 from sim.simulation import Simulation
@@ -92,7 +92,7 @@ def test_networks_equal_the_central_unit_and_say_what_it_costs():
     rng = np.random.default_rng(5)
     load = 15.0 + 0.3 * rng.standard_normal((100, 3))
     load[40:, 1] -= 12.0
-    found = network.rows(load)
+    found = variants.networks_of(load)
     assert len(found) == 8
     assert {(r.network, r.exchange, r.nodes) for r in found} == {
         (n, e, k) for n in ("ring", "tree") for e in ("tree", "consensus") for k in (3, 15)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from gateway.core.codes import FaultClass, FaultSensor, Flag
-from gateway.core.inbox import Temperatures
 from gateway.core.temperature import SensorMonitor
 from gateway.study.calibrating import Learner
 from gateway.study.temperature_reader import CycleLog
 from tests.fleet_limits import motor
 from tests.stations import (
     TemperatureMonitor,
+    Temperatures,
     add_reading,
     not_yet_valid,
     sensor_verdict,

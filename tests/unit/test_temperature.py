@@ -6,10 +6,16 @@ from _traction_core import lib
 
 from dbc.records import pointer
 from gateway.core.codes import FaultClass, FaultSensor
-from gateway.core.inbox import Temperatures
 from gateway.core.temperature import SensorMonitor
 from tests.reference import temperature as reference
-from tests.stations import add_reading, not_yet_valid, sensor_fault, sensor_verdict, sensors_valid
+from tests.stations import (
+    Temperatures,
+    add_reading,
+    not_yet_valid,
+    sensor_fault,
+    sensor_verdict,
+    sensors_valid,
+)
 
 MS = 1_000_000
 FITTED = (("stator", "drive_end", "non_drive_end"), ("stator", "non_drive_end"), ("drive_end",), ())

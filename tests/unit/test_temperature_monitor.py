@@ -9,7 +9,6 @@ from _traction_core import lib
 
 from dbc.records import FLAG_INPUTS
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, Reason
-from gateway.core.inbox import Temperatures
 from gateway.core.supervision import Supervision
 from gateway.hil.fitting import scenario_thermal
 from gateway.settings import calibration
@@ -20,10 +19,12 @@ from tests.sender import MS, codec_for
 from tests.stations import (
     Inbox,
     TemperatureMonitor,
+    Temperatures,
     is_fresh,
     not_yet_valid,
     sensor_verdict,
     sensors_valid,
+    temperatures_of,
 )
 
 NODES = (1, 2, 3)
@@ -142,11 +143,11 @@ def test_it_equals_the_reference_and_a_recording_is_as_good_as_frames(method, se
         bus.idle[0], bus.colder_k[0] = tick < 1000, np.clip((2000 - tick) / 40, 0.0, 12.0)
         bus.go_on()
         side.hear(bus.inbox, bus.now, inputs)
-        for reading in bus.inbox.temperatures:
+        for reading in temperatures_of(bus.inbox):
             celsius, valid = reading.celsius[3], reading.valid[3]
             plain.ambient[reading.drive] = celsius if valid else np.nan
         plain.tick(bus.seen > 0, bus.now, loads_of(bus))
-        other.add_readings(bus.inbox.temperatures, bus.now, bus.inbox.receiver)
+        other.add_readings(temperatures_of(bus.inbox), bus.now, bus.inbox.receiver)
         other.tell(bus.now, again)
         assert repr(inputs.tolist()) == repr(again.tolist())
         np.testing.assert_allclose(side.motors["mean"], plain.mean, rtol=1e-12)

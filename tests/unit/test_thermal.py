@@ -5,9 +5,8 @@ import pytest
 
 from dbc.records import FLAG_INPUTS
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
-from gateway.core.inbox import Temperatures
 from tests.fleet_limits import calibration, motor
-from tests.stations import TemperatureMonitor
+from tests.stations import TemperatureMonitor, Temperatures
 
 MS = 1_000_000
 NODES = (1, 2, 3)

@@ -15,6 +15,7 @@ from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
 from gateway.reports.record import _ADHESION, Coded, Table
 from gateway.reports.ticks import TickLog
+from tests.stations import temperatures_of
 from tests.storm.train import TICK, train
 from tests.unit.test_ticks import FIRST, config_of, stormy
 
@@ -101,7 +102,7 @@ def noted(gateway, blocks, most):
         gateway.step(block, (k + FIRST) * TICK)
         log.append(gateway)
         celsius = np.full((len(gateway.nodes), 4), np.nan)
-        for reading in gateway.inbox.temperatures:
+        for reading in temperatures_of(gateway.inbox):
             celsius[reading.drive] = reading.celsius
         wear = [[math.nan if v is None else v for v in each[:3]] for each in gateway.thermal.wear]
         load = gateway.load.percent(gateway.now_ns)

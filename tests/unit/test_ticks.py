@@ -13,6 +13,7 @@ from gateway.core.gateway import Gateway
 from gateway.io.replay import Briefly, replay
 from gateway.settings.config import parse
 from tests.simrun import FD_FILE
+from tests.stations import temperatures_of
 from tests.stepped import Stepped
 from tests.storm.bus_faults import HostileBus, plan
 from tests.storm.campaign import CALIBRATION, NODES
@@ -128,7 +129,7 @@ def state(gateway):
         "arrays": repr(numbers),
         "numbers": one,
         "counts": {name: n for name, n in gateway.inbox.counts.items() if n},
-        "readings": repr(gateway.inbox.temperatures),
+        "readings": repr(temperatures_of(gateway.inbox)),
         "view": repr(gateway.view),
     }
 

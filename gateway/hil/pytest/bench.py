@@ -10,9 +10,11 @@ from pydantic import ValidationError
 
 from dbc.codec import Codec
 from dbc.frame import SECOND, Frame, Nanos
+from gateway.core.gateway import Gateway
+from gateway.hil.bench import Alter, Tick, VirtualBus, unaltered
 from gateway.hil.pytest.flags import GatewayFlags
 from gateway.hil.pytest.inverter import Inverter
-from gateway.hil.pytest.world import Alter, BusWorld, Tick, VirtualWorld, unaltered
+from gateway.hil.pytest.world import BusWorld
 from gateway.settings.config import Config
 from sim.scenario import Scenario
 from sim.simulation import Simulation
@@ -54,9 +56,9 @@ class HilBench:
             config = config if mutant.settings is None else mutant.settings(config)
             alter = Altered(mutant, codec, config.nodes)
         simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=not own)
-        self._world: VirtualWorld | BusWorld
+        self._world: VirtualBus | BusWorld
         if bus is None:
-            self._world = VirtualWorld(simulation, config, codec, alter)
+            self._world = VirtualBus(simulation, Gateway(config, codec, 0), alter)
         else:
             self._world = BusWorld(simulation, config, codec, bus, alter, own_gateway=own_gateway)
         self.codec, self.config, self.scenario = codec, config, scenario

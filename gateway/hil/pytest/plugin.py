@@ -72,7 +72,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
     """Simulated inverters and a gateway, all flags good; `@pytest.mark.hil(..)` configures them."""
     load_hidden(request.path.parent)
-    from gateway.hil.fitting import fitting
+    from gateway.hil.fitting import fitted
     from gateway.hil.pytest.bench import HilBench, scenario_of
     from sim.scenario import ScenarioError, find
 
@@ -85,13 +85,9 @@ def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
         scenario = find(str(name)) if name else scenario_of(given, request.node.nodeid)
     except (ScenarioError, ValueError) as error:
         raise pytest.UsageError(str(error)) from None
-    config, codec = fitting(Path(path) if path else None, scenario)
-    if path:
-        from gateway.hil.own_motor import with_motor_of
-
-        scenario = with_motor_of(config, scenario)
     bench = HilBench(
-        scenario, config, codec, bus_of(request.config), mutant_of(request.config),
+        *fitted(Path(path) if path else None, scenario),
+        bus_of(request.config), mutant_of(request.config),
         own_gateway=request.config.getoption("--hil-gateway") == "own",
     )  # fmt: skip
     try:

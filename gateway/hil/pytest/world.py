@@ -1,16 +1,14 @@
-"""Where the bench of a test runs: on the virtual clock, or on a bus in real time.
-
-Both return, tick by tick, the frames of the drives and those of the gateway.
-"""
+"""The bench of a test on a bus in real time, tick by tick as on a `VirtualBus`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 from dbc.codec import Codec
-from dbc.frame import Frame, Nanos
+from dbc.frame import Nanos
 from gateway.core.gateway import Gateway
+from gateway.hil.bench import Alter, Tick, unaltered
 from gateway.hil.simbus import newest
 from gateway.io.bus import open_transport
 from gateway.io.canopen_node import CanopenNode, meant
@@ -18,48 +16,6 @@ from gateway.io.realtime import Ticker
 from gateway.io.transport import Allow
 from gateway.settings.config import Config
 from sim.simulation import Simulation
-
-
-class Tick(NamedTuple):
-    """Frames on the bus in one tick; stamps count from the start of the bench."""
-
-    now_ns: Nanos
-    drives: list[Frame]
-    gateway: list[Frame]
-
-
-Alter = Callable[[list[Frame], Nanos], list[Frame]]
-"""(frames that a gateway sends, now) -> the frames on the bus instead."""
-
-
-def unaltered(frames: list[Frame], _now: Nanos) -> list[Frame]:
-    """The gateway as it is."""
-    return frames
-
-
-class VirtualWorld:
-    """The bench on a virtual clock: as fast as the machine allows, the same on every run."""
-
-    def __init__(
-        self, simulation: Simulation, config: Config, codec: Codec, alter: Alter = unaltered
-    ) -> None:
-        """Raises ConfigError as `Gateway` does."""
-        self.simulation, self._alter = simulation, alter
-        self.period_ns = config.loop.period_ns
-        self._core = Gateway(config, codec, 0)
-        self._node = CanopenNode(config.nodes, nmt_master=True)
-        self._now: Nanos = 0
-        self._sent: list[Frame] = []
-
-    def step(self) -> Tick:
-        """Advance by one period."""
-        now, self._now = self._now, self._now + self.period_ns
-        came = self.simulation.step(self._sent, now)
-        self._sent = self._alter(self._core.step(came, now), now) + self._node.step(came, now)
-        return Tick(now, came, self._sent)
-
-    def close(self) -> None:
-        """Do nothing: there is no bus to leave."""
 
 
 class BusWorld:

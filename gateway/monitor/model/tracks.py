@@ -71,18 +71,8 @@ class Track:
     """One message: its last accepted frame, and the reasons why others are rejected."""
 
     __slots__ = (
-        "_codec",
-        "_guard",
-        "_latest",
-        "_receiver",
-        "_seen",
-        "data",
-        "good_ns",
-        "limit_ns",
-        "lost",
-        "received_ns",
-        "rejected",
-        "spec",
+        "_codec", "_guard", "_latest", "_receiver", "_seen", "data", "good_ns", "limit_ns", "lost",
+        "received_ns", "rejected", "spec",
     )  # fmt: skip
 
     def __init__(self, codec: Codec, spec: MessageSpec, tick_ns: Nanos) -> None:
