@@ -38,6 +38,10 @@ CARRIES: Final = {
 OWN_CANOPEN: Final = {0x720: "the gateway's heartbeat", 0x0A0: "the gateway's emergencies"}
 LEAST_NS: Final[dict[str, Nanos]] = {"Status": 100 * MS, "Motion": 10 * MS}
 """Shortest cycle, that of our message set, because all drives are compared with one another."""
+NO_MESSAGE: Final = (
+    "its mapped signals do not complete any message: docs/inverters.md says which signals belong "
+    "together"
+)
 _LOWEST: Final = -(1 << 31)
 _FD_SIZES: Final = (12, 16, 20, 24)
 
