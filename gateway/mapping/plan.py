@@ -194,9 +194,9 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
         sources.setdefault(spec.index, []).append((name, source.name, source))
         of[name] = spec.index
         resolution[name] = abs(source.scale * (1e-3 if found.is_float else found.scale))
-    unused = set(signals.cycle_ms) - {source.message for source in signals.use.values()}
+    unknown = set(signals.cycle_ms) - set(sends.values())
     problems += [
-        f"cycle_ms.{name}: no signal of this message is used; remove it" for name in sorted(unused)
+        f"cycle_ms.{name}: {path.name} has no such message; remove it" for name in sorted(unknown)
     ]
     spec_of, trigger = {}, {}
     for kind, parts in given(signals).items() if not problems else ():
