@@ -45,7 +45,7 @@ NO_MESSAGE: Final = (
 _LOWEST: Final = -(1 << 31)
 _FD_SIZES: Final = (12, 16, 20, 24)
 
-_OWN_KEY: Final = re.compile(r"(use|cycle_ms)\.\w+: ")
+_OWN_KEY: Final = re.compile(r"((use|cycle_ms)\.\w+|id_offset|dbc): ")
 
 
 class Plan(NamedTuple):
@@ -81,10 +81,9 @@ def plans(config: Config) -> list[Plan]:
         try:
             out.append(_plan(config, drive, drive.signals))
         except ConfigError as error:
-            path = f"drive.{position}.signals"
-            problems += [
-                f"{path}{'.' if _OWN_KEY.match(line) else ': '}{line}" for line in error.problems
-            ]
+            for line in error.problems:
+                key, _, text = line.partition(": ") if _OWN_KEY.match(line) else ("", "", line)
+                problems.append(f"{config.signals_path(position, key)}: {text}")
     if problems:
         raise config.error(problems)
     return out
@@ -198,22 +197,23 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
     problems += [
         f"cycle_ms.{name}: {path.name} has no such message; remove it" for name in sorted(unknown)
     ]
-    spec_of, trigger = {}, {}
-    for kind, parts in given(signals).items() if not problems else ():
-        first = of[parts[0]]
-        without = {specs[of[n]].name for n in parts if not specs[of[n]].cycle_ns}
-        if without:
-            problems += [f"{path.name} has no cycle time of {name}: add cycle_ms.{name}"
-                         for name in sorted(without)]  # fmt: skip
-            continue
-        cycle = specs[first].cycle_ns
+    kinds = given(signals)
+    needed = {signals.use[name].message for parts in kinds.values() for name in parts}
+    problems += [
+        f"cycle_ms.{name}: {path.name} has no cycle time of {name}: add cycle_ms.{name}"
+        for name in sorted(needed & by_name.keys())
+        if not by_name[name].cycle_ns
+    ]
+    if problems:
+        raise ConfigError("signals", list(dict.fromkeys(problems)))
+    spec_of = {}
+    for kind, parts in kinds.items():
+        cycle = specs[of[parts[0]]].cycle_ns
         if kind in LEAST_NS:
             cycle = max(LEAST_NS[kind], *(specs[of[n]].cycle_ns for n in parts))
         scales = {n: _scale(n, parts, resolution) for n in CARRIES[kind]}
         spec_of[kind] = _spec(kind, drive.node, cycle, scales)
-        trigger[kind] = parts[0]
-    if problems:
-        raise ConfigError("signals", list(dict.fromkeys(problems)))
+    trigger = {kind: parts[0] for kind, parts in kinds.items()}
     content = hashlib.sha256(path.read_bytes()).hexdigest()
     return Plan(
         drive.node, config.motors[drive.motor], signals, Codec(path, specs, content),
@@ -245,7 +245,8 @@ def _messages(
     try:
         specs, left_out = read_any_dbc(path)
     except DbcMismatch as error:
-        raise ConfigError("signals", [f"{path.name}: {line}" for line in error.problems]) from None
+        lines = [f"dbc: {path.name}: {line}" for line in error.problems]
+        raise ConfigError("signals", lines) from None
     wanted = {source.message for source in signals.use.values()}
     problems: list[str] = []
     out: list[MessageSpec] = []
