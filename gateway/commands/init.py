@@ -215,12 +215,19 @@ def _check(path: Path, more: Sequence[str]) -> int:
     parser = argparse.ArgumentParser()
     check.arguments(parser)
     check.more_arguments(parser)
+    again = f"run `traction-gateway check {path}`"
     try:
-        code = check.run(parser.parse_args([str(path), "--no-timing", *more]))
+        problems = check.examine(parser.parse_args([str(path), "--no-timing", *more]))
     except ConfigError as error:
         for problem in error.problems:
             note(problem)
-        code = BAD_INPUT
-    if code:
-        note(f"{shown(path)} has errors: correct it, and run `traction-gateway check {path}`")
-    return code
+        note(f"{shown(path)} has errors: correct it, and {again}")
+        return BAD_INPUT
+    if problems.unfit or problems.too_much_load:
+        note(f"{shown(path)} can be read; correct what does not fit, and {again}")
+    elif problems.blind:
+        note(f"{shown(path)} is right as far as it goes: map more signals for an adhesion flag, "
+             "if this inverter sends them")  # fmt: skip
+    elif problems.unfound:
+        note(f"{shown(path)} can be read: put in the motor's data, and {again}")
+    return problems.code

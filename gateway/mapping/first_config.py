@@ -69,8 +69,7 @@ def mapped(drives: int, shared: Shared) -> str:
         "",
     ]
     if not _can_model(use):
-        lines += ["[thermal]", 'method = "maisd"    # the model needs an ambient temperature,'
-                  " torque, speed and current", ""]  # fmt: skip
+        lines += _without_model(drives)
     sensors = [name for quantity, name in _SENSORS.items() if quantity in use]
     for number in range(drives):
         lines += ["[[drive]]", f"node = {number + 1}", f'inverter = "{shared.name}"']
@@ -90,6 +89,14 @@ def mapped(drives: int, shared: Shared) -> str:
 def is_sure(guess: Guess) -> bool:
     """Whether a guess is used; a less likely one is written as a comment."""
     return guess.score >= SURE - 1e-9
+
+
+def _without_model(drives: int) -> list[str]:
+    """`[thermal]` for drives that the thermal model cannot judge."""
+    needs = "the model needs an ambient temperature, torque, speed and current"
+    if drives > 1:
+        return ["[thermal]", f'method = "maisd"    # {needs}', ""]
+    return [f"# No thermal flag: {needs},", '# and method "maisd" the motors of two drives.', ""]
 
 
 def _can_model(use: Mapping[str, Guess]) -> bool:

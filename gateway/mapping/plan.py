@@ -198,7 +198,8 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
         f"cycle_ms.{name}: {path.name} has no such message; remove it" for name in sorted(unknown)
     ]
     kinds = given(signals)
-    needed = {signals.use[name].message for parts in kinds.values() for name in parts}
+    message_of = {str(name): source.message for name, source in signals.use.items()}
+    needed = {message_of[name] for parts in kinds.values() for name in parts}
     problems += [
         f"cycle_ms.{name}: {path.name} has no cycle time of {name}: add cycle_ms.{name}"
         for name in sorted(needed & by_name.keys())
