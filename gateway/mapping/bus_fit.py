@@ -33,11 +33,15 @@ Times = NDArray[np.int64]
 
 
 class Cycle(NamedTuple):
-    """Cycle time of one identifier; ms is None if the time stamps do not show it."""
+    """Cycle time of one identifier; ms is None if the time stamps do not show it.
+
+    stamps: number of different ones; grouped: a recorder with a buffer has stamped the frames.
+    """
 
     ms: float | None
     frames: int
     stamps: int
+    grouped: bool = False
 
     @property
     def problem(self) -> str:
@@ -66,8 +70,9 @@ def cycle(t_ns: Times) -> Cycle:
     middle = float(np.median(steps))
     mean = float(np.mean(steps[steps <= max(SILENCE_PERIODS * middle, SILENCE_NS)]))
     # A recorder with a buffer stamps frames in groups: the median is then the time inside a group.
-    ms = (mean if disagrees(middle, mean) else middle) / MS
-    return Cycle(max(round(ms) if ms >= 2 else round(ms, 1), 0.1), len(t_ns), stamps)
+    grouped = disagrees(middle, mean)
+    ms = (mean if grouped else middle) / MS
+    return Cycle(max(round(ms) if ms >= 2 else round(ms, 1), 0.1), len(t_ns), stamps, grouped)
 
 
 def disagrees(measured_ms: float, configured_ms: float) -> bool:
@@ -158,6 +163,7 @@ class Traffic:
     def cycles(self, node: int) -> list[Finding]:
         """Findings on the cycle times of a drive: what contradicts, what is not known."""
         wrong, right, out = [], {}, []
+        grouped: list[str] = []
         for spec in self._messages[node]:
             if spec.key not in self._times or not spec.cycle_ns:
                 continue
@@ -168,6 +174,10 @@ class Traffic:
             elif disagrees(measured.ms, own_ms):
                 wrong.append(f"{spec.name} every {measured.ms:g} ms, configured {own_ms:g} ms")
                 right[spec.name] = measured.ms
+            grouped += [spec.name] if measured.grouped else []
+        if grouped:
+            text = f"the log's time stamps of {', '.join(grouped)} come in groups, from a recorder "
+            out.append(Finding(None, f"{text}with a buffer: a replay cannot follow the motor"))
         if wrong:
             out.insert(0, Finding(False, f"{'; '.join(wrong)}: {self._cure(node, right)}"))
         return out

@@ -71,6 +71,8 @@ def test_a_buffered_recorder_stamps_groups_and_the_mean_is_the_cycle_time(tmp_pa
     sent = [f for f in frames if f.can_id != 0x612] + grouped
     _, lines = check(tmp_path, text(), log_of(tmp_path / "d.log", sent), capsys)
     assert not [line for line in problems(lines) if "configured" in line]
+    (line,) = [line for line in lines if "come in groups" in line]
+    assert "unknown: the log's time stamps of Mot come in groups, from a recorder with a" in line
 
 
 def test_stamps_of_bursts_show_no_cycle_time(tmp_path, capsys, theirs):
