@@ -155,6 +155,7 @@ def run(options: argparse.Namespace) -> int:
 def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[str, float]) -> int:
     """Exit code for the time in which flags were known; print it, and on stderr what is short."""
     from gateway.core.codes import Reason
+    from gateway.reports import cures
     from gateway.reports.record import camel
 
     gateway = done.gateway
@@ -167,7 +168,7 @@ def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[st
             {Reason(getattr(v, f"{flag}_reason")) for node, v in views if node in nodes}
         )
         words = ", ".join(camel(reason.name) for reason in reasons)
-        how, cure = known.cure(flag, reasons, gateway.config, nodes)
+        how, cure = cures.cure(flag, reasons, gateway.config, nodes)
         whose = known.drives(nodes, len(gateway.nodes))
         note(f"{how}: {flag}{whose} was never known ({words}), so nothing was flagged; {cure}")
     short = known.short_of(shares, wanted)

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.cli import main
 from gateway.core.codes import Reason
-from gateway.reports import known
+from gateway.reports import cures
 from gateway.settings.config import load, parse
 from tests.inverters import write_dbc
 from tests.unit.test_init_log import MOTOR, init, recorded
@@ -105,7 +105,7 @@ def test_a_flag_that_the_signals_cannot_support_is_explained_by_the_signals(tmp_
 )  # fmt: skip
 def test_the_cure_follows_the_reason(reasons, calibration, said):
     config = parse({"thermal": {"calibration": calibration} if calibration else {}})
-    level, cure = known.cure("thermal", reasons, config, (1, 2, 3))
+    level, cure = cures.cure("thermal", reasons, config, (1, 2, 3))
     assert level == "note"
     assert cure.startswith(said)
     assert ("calibrate" in cure) == (calibration is None)
