@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from dbc.text import printable
 from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_line, add_signature
@@ -66,9 +66,33 @@ def more_arguments(parser: argparse.ArgumentParser) -> None:
     add_bus(parser)
 
 
-@leanstart.unsearched()
+class Problems(NamedTuple):
+    """Problems by kind; blind: `unfound` are drives whose adhesion can never be known."""
+
+    load_percent: float
+    unfit: Sequence[str]
+    unfound: Sequence[str]
+    blind: bool
+
+    @property
+    def code(self) -> int:
+        """Exit code."""
+        return BAD_INPUT if self.unfound or self.unfit or self.too_much_load else GOOD
+
+    @property
+    def too_much_load(self) -> bool:
+        """Whether the bus load is above the limit."""
+        return self.load_percent > LOAD_LIMIT_PERCENT
+
+
 def run(options: argparse.Namespace) -> int:
     """Print the results; exit 2 if the configuration cannot work, or would never find a loss."""
+    return examine(options).code
+
+
+@leanstart.unsearched()
+def examine(options: argparse.Namespace) -> Problems:
+    """Print the results and return the problems. Raises ConfigError, DbcMismatch, LogError."""
     from gateway.commands import check_loss
     from gateway.commands.check_signals import signal_lines
     from gateway.mapping import plan as foreign
@@ -107,28 +131,45 @@ def run(options: argparse.Namespace) -> int:
         from gateway.commands.check_forecast import print_table
 
         unfound += print_table(config, codec, options.forecast, options.output)
-    calibrated = (
-        f"calibrated, method {config.thermal.method}"
-        if config.calibration_path
-        else "not calibrated: flags stay unknown; run `traction-gateway calibrate`"
-    )
-    print(f"thermal        {calibrated}")
+    print(f"thermal        {_calibrated(config, planned)}")
     for line in calibration.promise_lines(cells, config.adhesion):
         print(f"promise        {line}")
     signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
     print(f"signature      {signed}")
     print(f"flags          {_authentication(config)}")
     _print_machine(options, config)
-    if percent > LOAD_LIMIT_PERCENT:
+    problems = Problems(percent, unfit, unfound, len(tried.blind) == len(config.nodes))
+    _note(problems, options.log)
+    return problems
+
+
+def _note(problems: Problems, log: Path | None) -> None:
+    """Print the problems on stderr."""
+    if problems.too_much_load:
         note(
-            f"bus load {percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use slower cycles in "
-            "the DBC (GenMsgCycleTime), fewer drives on this bus, or CAN FD",
+            f"bus load {problems.load_percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use "
+            "slower cycles in the DBC (GenMsgCycleTime), fewer drives on this bus, or CAN FD",
         )  # fmt: skip
-    if unfound:
-        note("losses that would not be found: " + "; ".join(unfound))
-    if unfit:
-        note(f"{options.log}: " + "; ".join(unfit))
-    return BAD_INPUT if unfound or unfit or percent > LOAD_LIMIT_PERCENT else GOOD
+    if problems.unfound:
+        what = "" if problems.blind else "losses that would not be found: "
+        note(what + "; ".join(problems.unfound))
+    if problems.unfit:
+        note(f"{log}: " + "; ".join(problems.unfit))
+
+
+def _calibrated(config: Config, planned: Sequence[Plan]) -> str:
+    """Text: whether thermal flags are possible with this configuration."""
+    from gateway.mapping import lacks
+    from gateway.settings.sections import FEWEST_COMPARED
+
+    if config.calibration_path:
+        return f"calibrated, method {config.thermal.method}"
+    if config.thermal.method == "maisd":
+        if len(config.nodes) < FEWEST_COMPARED:
+            return "no flags: method 'maisd' compares the motors of two drives or more"
+    elif len(planned) == len(config.nodes) and all(lacks.thermal(p.signals) for p in planned):
+        return "no flags: every drive lacks signals that method 'model' needs, see above"
+    return "not calibrated: flags stay unknown; run `traction-gateway calibrate`"
 
 
 def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from dbc.e2e import crc_ok
 from dbc.frame import ERROR, REMOTE
 from gateway.commands.progress import Progress
-from gateway.mapping import command_fit, fit
-from gateway.mapping.plan import fitted, plans
+from gateway.mapping import command_fit, fit, rating_fit
+from gateway.mapping.bus_fit import Traffic
+from gateway.mapping.plan import NO_MESSAGE, fitted, plans
 from gateway.mapping.translate import Translator
 
 if TYPE_CHECKING:
@@ -46,21 +47,30 @@ def print_findings(
     values = _Values(config, codec)
     with Progress("first minute of the log", LOOKED_AT_S) as progress:
         values.add_all(OneChannel(reader.blocks(), channel), progress)
-    problems = []
+    problems = _print("gateway", values.traffic.strangers())
     motors = {drive.node: config.motors[drive.motor] for drive in config.drive}
     asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]
     alone = command_fit.fell_alone(asked)
     for drive, one in zip(config.drive, asked, strict=True):
-        lines = values.unusable(drive.node)
-        absent = [] if lines else values.absent(drive.node)
-        lines += absent or fit.findings(values.of_drive(drive.node), motors[drive.node])
+        lines = values.of_frames(drive.node)
+        absent = values.absent(drive.node, explained=any(one.fits is False for one in lines))
+        measured, motor = values.of_drive(drive.node), motors[drive.node]
+        lines += rating_fit.findings(measured, motor, drive.motor)
+        lines += absent or fit.findings(measured, motor)
         lines += command_fit.repeats_torque(one)
         lines += [alone[drive.node]] if drive.node in alone else []
-        for k, found in enumerate(lines):
-            verdict = {True: "fits", False: "DOES NOT FIT", None: "unknown"}[found.fits]
-            print(f"{f'drive {drive.node}' if k == 0 else '':<14} {verdict}: {found.text}")
-            if found.fits is False:
-                problems.append(f"drive {drive.node}: {found.text}")
+        problems += _print(f"drive {drive.node}", lines)
+    return problems
+
+
+def _print(whose: str, findings: list[fit.Finding]) -> list[str]:
+    """Print the findings; return those that do not fit."""
+    problems = []
+    for k, found in enumerate(findings):
+        verdict = {True: "fits", False: "DOES NOT FIT", None: "unknown"}[found.fits]
+        print(f"{whose if k == 0 else '':<14} {verdict}: {found.text}")
+        if found.fits is False:
+            problems.append(f"{whose}: {found.text}")
     return problems
 
 
@@ -69,6 +79,7 @@ class _Values:
 
     def __init__(self, config: Config, codec: Codec) -> None:
         planned = plans(config)
+        self.traffic = Traffic(codec, planned, config.nodes, creep=config.adhesion.send_creep)
         self._codec = fitted(codec, planned)
         self._derived: dict[int, list[int]] = {drive.node: [] for drive in config.drive}
         """Times of samples in which one phase is computed from the others, by node."""
@@ -98,6 +109,7 @@ class _Values:
         self._derived[node].append(t_ns)
 
     def _add(self, block: Block) -> None:
+        self.traffic.add(block)
         if self._translator is not None:
             block = self._translator.translate(block, int(block.t_ns.max()), self._counts)
         for spec in self._codec.messages:
@@ -134,7 +146,13 @@ class _Values:
             elif not crc_ok(spec, block.data[row, :size].tobytes()):
                 bad["a wrong checksum: the drive has another data ID, or no E2E protection"] += 1
 
-    def unusable(self, node: int) -> list[fit.Finding]:
+    def of_frames(self, node: int) -> list[fit.Finding]:
+        """Findings on frames: those that a replay rejects, cycle times, messages not received."""
+        traffic = self.traffic
+        unusable = self._unusable(node) + traffic.unusable(node)
+        return unusable + traffic.cycles(node) + traffic.not_received(node)
+
+    def _unusable(self, node: int) -> list[fit.Finding]:
         """Findings: messages of which a replay rejects more than half for one cause."""
         return [
             fit.Finding(False, f"{spec.name}: {n} of {self._checked[spec.index]} frames have {why}")
@@ -144,15 +162,18 @@ class _Values:
             if 2 * n > self._checked[spec.index]
         ]
 
-    def absent(self, node: int) -> list[fit.Finding]:
-        """Finding that the log has no message of this drive, if so."""
+    def absent(self, node: int, *, explained: bool) -> list[fit.Finding]:
+        """Finding that the log has no usable message of this drive, if so; not if explained."""
         mine = [s.index for s in self._codec.messages if s.node == node and not s.is_gateway]
         if self._parts.keys() & mine:
             return []
         if not mine:
-            cure = "docs/inverters.md says which signals belong together"
-            text = f"its mapped signals do not complete any message: {cure}"
-            return [fit.Finding(False, text)]
+            return [fit.Finding(False, NO_MESSAGE)]
+        if explained:
+            return []
+        if self.traffic.receives(node):
+            text = "its messages are in the log, but their values complete none of ours"
+            return [fit.Finding(None, f"{text}: the mapped signals come too far apart in time")]
         text = "the log has none of its messages: correct node or id_offset, or --log-channel"
         return [fit.Finding(False, text)]
 

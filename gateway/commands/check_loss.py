@@ -43,7 +43,8 @@ def print_results(config: Config, tried: Tried) -> list[str]:
             _line(f"drive {node} is always Unknown: {why}")
     if len(tried.blind) == len(config.nodes):
         _line("not simulated: every drive is always Unknown")
-        return [f"drive {node}: {why}" for node, why in tried.blind.items()]
+        no_flag = "no adhesion flag from this inverter"
+        return [f"drive {node}: {no_flag}: {why}" for node, why in tried.blind.items()]
     problems = []
     what = f"A loss of {100 * DEPTH:.0f} % on drive"
     for found in tried.found:
@@ -51,10 +52,18 @@ def print_results(config: Config, tried: Tried) -> list[str]:
             _line(f"{what} {found.node} is found after {found.after_ms:.0f} ms.")
             continue
         _line(f"{what} {found.node} is not found within {WITHIN_NS / 1e9:g} s.")
-        problems.append(f"drive {found.node}: {found.problem}")
+        problems.append(f"drive {found.node}: {found.problem}{_motor(config, found.node)}")
     if tried.problem:
         _line(f"not tried: {tried.problem}")
     return problems
+
+
+def _motor(config: Config, node: int) -> str:
+    """Cure for a mapped drive that has a motor of this project instead of its own."""
+    (name,) = (drive.motor for drive in config.drive if drive.node == node)
+    if node not in _mapped(config) or name in config.motor:
+        return ""
+    return f"; it has motor {name} of this project: put the data of its own motor into [motor.NAME]"
 
 
 def _mapped(config: Config) -> set[int]:

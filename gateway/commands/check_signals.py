@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from gateway.core.motion import FEWEST_SAMPLES
-from gateway.hil.synthetic_loss import missing
+from gateway.mapping import lacks
 from gateway.mapping.plan import given, raw_ends
 from gateway.settings.signal_map import UNITS
 
@@ -59,21 +59,12 @@ def _codes(plan: Plan) -> Iterator[str]:
 def _limits(plan: Plan) -> Iterator[str]:
     kinds = given(plan.signals)
     use = plan.signals.use
-    adhesion = missing(set(kinds))
+    adhesion = lacks.adhesion(kinds, plan.signals)
     if adhesion:
         yield f"adhesion: always Unknown: {', '.join(adhesion)}"
     else:
         yield from _rate(plan, measured="Motion" in kinds)
-    thermal = [
-        text
-        for text, there in (
-            ("no temperature", "Temperatures" in kinds),
-            ("no RMS current", "Status" in kinds),
-            ("no measured speed with a torque", "Motion" in kinds),
-            ("no ambient temperature", "Tambient" in use),
-        )
-        if not there
-    ]
+    thermal = lacks.thermal(plan.signals)
     if thermal:
         yield f"thermal by the model: always Unknown: {', '.join(thermal)}"
     if "Torque" not in use and "Iq" in use and ("Motion" in kinds or "Status" in kinds):

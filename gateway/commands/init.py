@@ -17,14 +17,12 @@ if TYPE_CHECKING:
 
     from dbc.spec import MessageSpec
     from gateway.mapping import guess
+    from gateway.mapping.bus_fit import Cycle
     from gateway.mapping.first_config import Shared
 
 MOST_DRIVES: Final = 16
 FRAMES: Final = 200_000
 """Number of frames of a log that are read."""
-GUESSED_MS: Final = 10.0
-_LEAST_FRAMES: Final = 3
-_EXTENDED: Final = 1 << 31
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,27 +86,27 @@ def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     named = Path(os.path.relpath(dbc, options.output.parent)).as_posix()
     if guess.of_this_project(specs):
         return first_config.ours(drives, named)
-    periods = _periods(options) if options.log else {}
+    of_log = _cycles_of_log(options) if options.log else {}
     # Subtract the first drive's offset, so that identifiers are those of the DBC.
-    periods = {key - options.id_offset: ms for key, ms in periods.items()}
-    there = [spec for spec in specs if spec.key in periods] if periods else list(specs)
+    of_log = {key - options.id_offset: one for key, one in of_log.items()}
+    there = [spec for spec in specs if spec.key in of_log] if of_log else list(specs)
     found = guess.candidates(there)
     chosen = guess.chosen(found)
     if not any(map(first_config.is_sure, chosen)):
-        where = f" that are in {options.log}" if periods else ""
+        where = f" that are in {options.log}" if of_log else ""
         raise ConfigError(
             str(dbc),
             [f"no signal{where} has the name and the unit of one that the gateway uses; write "
              "[inverter.NAME.use] by hand, docs/inverters.md lists what can be mapped"],
         )  # fmt: skip
-    shared = _shared(named, specs, periods, chosen, drives, options.id_step)
+    shared = _shared(named, specs, of_log, chosen, drives, options.id_step)
     shared = shared._replace(found=found, offset=options.id_offset)
     _say(shared, drives)
     return first_config.mapped(drives, shared)
 
 
 def _shared(
-    dbc: str, specs: Sequence[MessageSpec], periods: Mapping[int, float],
+    dbc: str, specs: Sequence[MessageSpec], of_log: Mapping[int, Cycle],
     chosen: Sequence[guess.Guess], drives: int, id_step: int | None,
 ) -> Shared:  # fmt: skip
     from gateway.mapping import first_config, guess
@@ -122,13 +120,18 @@ def _shared(
             "as in the file",
         )
     if step is None and len(used) > 1:  # one identifier may be anybody's
-        step = guess.step(dict.fromkeys(used), dict.fromkeys(periods), drives)
+        step = guess.step(dict.fromkeys(used), dict.fromkeys(of_log), drives)
         source = "as in the log"
     if step is None:
         step, source = _free_step(set(used), drives), ""
-    cycles = {spec.name: periods.get(spec.key, GUESSED_MS) for spec in specs if not spec.cycle_ns}
+    measured = {spec.name: of_log[spec.key] for spec in specs if spec.key in of_log}
+    cycles = {
+        spec.name: measured[spec.name].ms if spec.name in measured else None
+        for spec in specs
+        if not spec.cycle_ns
+    }
     name = re.sub(r"\W+", "_", Path(dbc).stem).strip("_").lower() or "inverter"
-    return first_config.Shared(name, dbc, chosen, {}, cycles, bool(periods), 0, step, source)
+    return first_config.Shared(name, dbc, chosen, {}, cycles, measured, 0, step, source)
 
 
 def _free_step(used: set[int], drives: int) -> int:
@@ -140,6 +143,7 @@ def _free_step(used: set[int], drives: int) -> int:
 
 
 def _say(shared: Shared, drives: int) -> None:
+    from gateway.mapping import first_config
     from gateway.mapping.first_config import is_sure
 
     for guess in shared.chosen:
@@ -150,47 +154,43 @@ def _say(shared: Shared, drives: int) -> None:
             f"identifiers of the next drive are guessed, {shared.step:#x} higher: give --id-step, "
             "or correct id_offset"
         )
-    if not shared.measured and any(
-        g.message.name in shared.cycle_ms for g in shared.chosen if is_sure(g)
-    ):
-        note("the DBC has no cycle times; they are guessed: give --log, or correct cycle_ms")
+    guessed = first_config.guessed(shared)
+    for name in guessed:
+        if name in shared.measured:
+            note(f"no cycle time of {name} from the log: {shared.measured[name].problem}")
+    if guessed:
+        cure = "correct cycle_ms" if shared.measured else "give --log, or correct cycle_ms"
+        note(f"the DBC has no cycle time of {', '.join(guessed)}; it is guessed: {cure}")
 
 
-def _periods(options: argparse.Namespace) -> dict[int, float]:
-    """Median period in ms of every identifier in a log's first frames.
+def _cycles_of_log(options: argparse.Namespace) -> dict[int, Cycle]:
+    """Cycle time of every identifier that comes often enough in a log's first frames.
 
     Raises ConfigError if no identifier comes often enough, BadLogError for another channel.
     """
     import numpy as np
 
-    from dbc.frame import EXTENDED
     from gateway.io.replay import OneChannel, open_log
+    from gateway.mapping import bus_fit
     from gateway.settings.config import ConfigError
 
     log = options.log
-    parts, seen = [], 0
+    parts, count = [], 0
     read = open_log(log, strict=False, line=pattern_of(log, options.line))
     for block in OneChannel(read.blocks, options.log_channel):
-        keys = block.can_id.astype(np.int64)
-        keys |= np.where(block.flags & EXTENDED, _EXTENDED, 0)
-        parts.append((keys, block.t_ns))
-        seen += block.size
-        if seen >= FRAMES:
+        parts.append((bus_fit.keys(block), block.t_ns))
+        count += block.size
+        if count >= FRAMES:
             break
-    problem = "no message occurs often enough to measure its cycle time: give a longer log"
-    none = ConfigError(str(log), [problem])
-    if not parts:
-        raise none
-    keys, times = (np.concatenate(column) for column in zip(*parts, strict=True))
-    out = {}
-    for key in np.unique(keys).tolist():
-        steps = np.diff(np.sort(times[keys == key]))
-        if len(steps) >= _LEAST_FRAMES:
-            ms = float(np.median(steps)) / 1e6
-            out[key] = max(round(ms) if ms >= 2 else round(ms, 1), 0.1)
-    if not out:
-        raise none
-    return out
+    keys, times = (
+        (np.concatenate(column) for column in zip(*parts, strict=True)) if parts else ((), ())
+    )
+    found = {key: bus_fit.cycle(times[keys == key]) for key in np.unique(keys).tolist()}
+    often = {key: one for key, one in found.items() if one.frames > bus_fit.LEAST_STEPS}
+    if not often:
+        problem = "no message occurs often enough to measure its cycle time: give a longer log"
+        raise ConfigError(str(log), [problem])
+    return often
 
 
 def _asked_drives() -> int:
@@ -215,12 +215,19 @@ def _check(path: Path, more: Sequence[str]) -> int:
     parser = argparse.ArgumentParser()
     check.arguments(parser)
     check.more_arguments(parser)
+    again = f"run `traction-gateway check {path}`"
     try:
-        code = check.run(parser.parse_args([str(path), "--no-timing", *more]))
+        problems = check.examine(parser.parse_args([str(path), "--no-timing", *more]))
     except ConfigError as error:
         for problem in error.problems:
             note(problem)
-        code = BAD_INPUT
-    if code:
-        note(f"{shown(path)} has errors: correct it, and run `traction-gateway check {path}`")
-    return code
+        note(f"{shown(path)} has errors: correct it, and {again}")
+        return BAD_INPUT
+    if problems.unfit or problems.too_much_load:
+        note(f"{shown(path)} can be read; correct what does not fit, and {again}")
+    elif problems.blind:
+        note(f"{shown(path)} is right as far as it goes: map more signals for an adhesion flag, "
+             "if this inverter sends them")  # fmt: skip
+    elif problems.unfound:
+        note(f"{shown(path)} can be read: put in the motor's data, and {again}")
+    return problems.code

@@ -155,6 +155,7 @@ def run(options: argparse.Namespace) -> int:
 def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[str, float]) -> int:
     """Exit code for the time in which flags were known; print it, and on stderr what is short."""
     from gateway.core.codes import Reason
+    from gateway.reports import cures
     from gateway.reports.record import camel
 
     gateway = done.gateway
@@ -163,9 +164,11 @@ def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[st
     assert gateway.view is not None
     for flag, nodes in known.silent(shares).items():
         views = zip(gateway.nodes, gateway.view.drives, strict=True)
-        reasons = sorted({getattr(view, f"{flag}_reason") for node, view in views if node in nodes})
-        words = ", ".join(camel(Reason(reason).name) for reason in reasons)
-        cure, how = known.CURES[flag]
+        reasons = sorted(
+            {Reason(getattr(v, f"{flag}_reason")) for node, v in views if node in nodes}
+        )
+        words = ", ".join(camel(reason.name) for reason in reasons)
+        how, cure = cures.cure(flag, reasons, gateway.config, nodes)
         whose = known.drives(nodes, len(gateway.nodes))
         note(f"{how}: {flag}{whose} was never known ({words}), so nothing was flagged; {cure}")
     short = known.short_of(shares, wanted)

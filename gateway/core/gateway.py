@@ -44,10 +44,11 @@ from gateway.core.supervision import Supervision
 from gateway.core.thermal import TemperatureMonitor
 from gateway.core.transmit import Outbox
 from gateway.core.view import Counted, GatewayView, drives_of, view_of
+from gateway.mapping import lacks
 from gateway.mapping import plan as foreign
 from gateway.mapping.translate import Translator
 from gateway.settings import calibration
-from gateway.settings.config import Config, ConfigError
+from gateway.settings.config import Config
 
 if TYPE_CHECKING:
     from dbc.secoc_sender import Authenticator
@@ -92,7 +93,7 @@ class Gateway(Addressed):
         drives = self.inbox.drives
         missing = [d.node for d in drives if not d.channels]
         if missing:
-            raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
+            raise lacks.incomplete(config, codec.path, missing)
         self.bank = Bank(motors, config.estimator, _current_step_a(taken), tick_ns)
         places = self.inbox.places([0.1 * m.I_rated for m in motors])
         self.inputs = inputs.InputMonitor(self.inbox.receiver, places.channels)

@@ -21,6 +21,7 @@ from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.core.codes import Flag, Reason
 from gateway.core.gateway import Gateway
 from gateway.hil.inverter_sim import Inverters
+from gateway.mapping import lacks
 from gateway.mapping import plan as foreign
 from gateway.reports.record import camel
 from gateway.settings.config import BENCH_MOTOR, Config, shipped_dbc
@@ -45,12 +46,6 @@ SPEED_RAD_S: Final = 100.0
 """Electrical speed, if the samples and `min_speed_rad_s` allow it."""
 SAMPLES_PER_TURN: Final = 15
 """Fewest samples per electrical turn at the chosen speed; below ten the filters stop following."""
-NEEDS: Final = (
-    ("no phase currents", ("PhaseCurrents", "Samples")),
-    ("no voltages", ("StatorVoltages", "Samples")),
-    ("no torque or command", ("Status",)),
-)
-"""(lack, kinds of messages): without any of these kinds, adhesion is never known."""
 
 
 class Found(NamedTuple):
@@ -73,17 +68,12 @@ class _Alike(NamedTuple):
     plans: tuple[Plan, ...]
 
 
-def missing(kinds: frozenset[str] | set[str]) -> list[str]:
-    """Why adhesion of a drive with these kinds of messages can never be known; empty if it can."""
-    return [text for text, any_of in NEEDS if kinds.isdisjoint(any_of)]
-
-
 def never(config: Config, codec: Codec) -> dict[int, str]:
     """Drives whose adhesion is never known, by node, and why. codec: from `foreign.fitted`."""
     kinds: dict[int, set[str]] = defaultdict(set)
     for spec in codec.messages:
         kinds[spec.node].add(spec.kind)
-    found = {node: missing(kinds[node]) for node in config.nodes}
+    found = {d.node: lacks.adhesion(kinds[d.node], d.signals) for d in config.drive}
     return {node: ", ".join(texts) for node, texts in found.items() if texts}
 
 

@@ -7,12 +7,14 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+from gateway.mapping.bus_fit import Cycle
 from gateway.mapping.guess import SURE, Guess
 from gateway.mapping.plan import given
 from gateway.settings.signal_map import UNITS, Signals, Source
 
 _SENSORS: Final = {"Tstator": "stator", "Tde": "drive_end", "Tnde": "non_drive_end"}
 _OTHERS: Final = 3
+GUESSED_MS: Final = 10.0
 _MOTOR: Final = """
 # Parameters of the motor, from its data sheet, in SI units. Until they are here, the drives above
 # have the bench motor of this project, and `check --log` says what does not fit.
@@ -31,16 +33,17 @@ class Shared(NamedTuple):
     """What all drives with one message set of another maker have in common.
 
     dbc: path as written in the configuration. cycle_ms: by message, where the DBC has no cycle
-    time; measured: whether these are from a log. offset: of the first drive's identifiers; step:
-    distance to the next drive's identifiers; source: where the step is from, empty for a guess.
+    time; None: the log shows none either. measured: what the log shows, by message. offset: of the
+    first drive's identifiers; step: distance to the next drive's identifiers; source: where the
+    step is from, empty for a guess.
     """
 
     name: str
     dbc: str
     chosen: Sequence[Guess]
     found: Mapping[str, Sequence[Guess]]
-    cycle_ms: Mapping[str, float]
-    measured: bool
+    cycle_ms: Mapping[str, float | None]
+    measured: Mapping[str, Cycle]
     offset: int
     step: int
     source: str
@@ -66,8 +69,7 @@ def mapped(drives: int, shared: Shared) -> str:
         "",
     ]
     if not _can_model(use):
-        lines += ["[thermal]", 'method = "maisd"    # the model needs an ambient temperature,'
-                  " torque, speed and current", ""]  # fmt: skip
+        lines += _without_model(drives)
     sensors = [name for quantity, name in _SENSORS.items() if quantity in use]
     for number in range(drives):
         lines += ["[[drive]]", f"node = {number + 1}", f'inverter = "{shared.name}"']
@@ -78,7 +80,7 @@ def mapped(drives: int, shared: Shared) -> str:
         if sensors:
             lines += [f"sensors = [{', '.join(map(repr, sensors))}]".replace("'", '"')]
         lines += [""]
-    own = [f"dbc = {_quoted(shared.dbc)}", *_cycles(shared, use), ""]
+    own = [f"dbc = {_quoted(shared.dbc)}", *_cycles(shared), ""]
     lines += [f"[inverter.{shared.name}]", *own]
     lines += [f"[inverter.{shared.name}.use]", *_signals(shared, use)]
     return "\n".join(lines) + "\n" + _MOTOR
@@ -89,19 +91,45 @@ def is_sure(guess: Guess) -> bool:
     return guess.score >= SURE - 1e-9
 
 
+def _without_model(drives: int) -> list[str]:
+    """`[thermal]` for drives that the thermal model cannot judge."""
+    needs = "the model needs an ambient temperature, torque, speed and current"
+    if drives > 1:
+        return ["[thermal]", f'method = "maisd"    # {needs}', ""]
+    return [f"# No thermal flag: {needs},", '# and method "maisd" the motors of two drives.', ""]
+
+
 def _can_model(use: Mapping[str, Guess]) -> bool:
     signals = Signals(dbc="x", use={name: Source(signal=g.name) for name, g in use.items()})
     kinds = given(signals)
     return "Tambient" in use and {"Temperatures", "Motion", "Status"} <= set(kinds)
 
 
-def _cycles(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
-    messages = dict.fromkeys(guess.message.name for guess in use.values())
-    without = {name: shared.cycle_ms[name] for name in messages if name in shared.cycle_ms}
-    if not without:
+def guessed(shared: Shared) -> list[str]:
+    """Messages whose cycle time is written as `GUESSED_MS`, because neither file nor log has it."""
+    return [name for name in _without(shared) if shared.cycle_ms[name] is None]
+
+
+def _without(shared: Shared) -> list[str]:
+    """Messages without a cycle time in the DBC, those of proposed signals too.
+
+    The cycle times of proposals stand in the file, so that a proposal can be used by removing `#`.
+    """
+    names = dict.fromkeys(guess.message.name for guess in shared.chosen)
+    return [name for name in names if name in shared.cycle_ms]
+
+
+def _cycles(shared: Shared) -> list[str]:
+    names, unknown = _without(shared), guessed(shared)
+    if not names:
         return []
-    comment = "as in the log" if shared.measured else "GUESSED, the file has none: correct it"
-    cycles = ", ".join(f"{name} = {cycle:g}" for name, cycle in without.items())
+    cycles = ", ".join(f"{name} = {shared.cycle_ms[name] or GUESSED_MS:g}" for name in names)
+    comment = "as in the log"
+    if unknown == names:
+        comment = "GUESSED, neither file nor log has them: correct it"
+        comment = comment if shared.measured else "GUESSED, the file has none: correct it"
+    elif unknown:
+        comment += f", except {', '.join(unknown)}: GUESSED, correct it"
     return [f"cycle_ms = {{ {cycles} }}    # ms; {comment}"]
 
 

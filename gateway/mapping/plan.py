@@ -37,10 +37,14 @@ CARRIES: Final = {
 OWN_CANOPEN: Final = {0x720: "the gateway's heartbeat", 0x0A0: "the gateway's emergencies"}
 LEAST_NS: Final[dict[str, Nanos]] = {"Status": 100 * MS, "Motion": 10 * MS}
 """Shortest cycle, that of our message set, because all drives are compared with one another."""
+NO_MESSAGE: Final = (
+    "its mapped signals do not complete any message: docs/inverters.md says which signals belong "
+    "together"
+)
 _LOWEST: Final = -(1 << 31)
 _FD_SIZES: Final = (12, 16, 20, 24)
 
-_OWN_KEY: Final = re.compile(r"(use|cycle_ms)\.\w+: ")
+_OWN_KEY: Final = re.compile(r"((use|cycle_ms)\.\w+|id_offset|dbc): ")
 
 
 class Plan(NamedTuple):
@@ -76,10 +80,9 @@ def plans(config: Config) -> list[Plan]:
         try:
             out.append(_plan(config, drive, drive.signals))
         except ConfigError as error:
-            path = f"drive.{position}.signals"
-            problems += [
-                f"{path}{'.' if _OWN_KEY.match(line) else ': '}{line}" for line in error.problems
-            ]
+            for line in error.problems:
+                key, _, text = line.partition(": ") if _OWN_KEY.match(line) else ("", "", line)
+                problems.append(f"{config.signals_path(position, key)}: {text}")
     if problems:
         raise config.error(problems)
     return out
@@ -189,26 +192,28 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
         sources.setdefault(spec.index, []).append((name, source.name, source))
         of[name] = spec.index
         resolution[name] = abs(source.scale * (1e-3 if found.is_float else found.scale))
-    unused = set(signals.cycle_ms) - {source.message for source in signals.use.values()}
+    unknown = set(signals.cycle_ms) - set(sends.values())
     problems += [
-        f"cycle_ms.{name}: no signal of this message is used; remove it" for name in sorted(unused)
+        f"cycle_ms.{name}: {path.name} has no such message; remove it" for name in sorted(unknown)
     ]
-    spec_of, trigger = {}, {}
-    for kind, parts in given(signals).items() if not problems else ():
-        first = of[parts[0]]
-        without = {specs[of[n]].name for n in parts if not specs[of[n]].cycle_ns}
-        if without:
-            problems += [f"{path.name} has no cycle time of {name}: add cycle_ms.{name}"
-                         for name in sorted(without)]  # fmt: skip
-            continue
-        cycle = specs[first].cycle_ns
+    kinds = given(signals)
+    message_of = {str(name): source.message for name, source in signals.use.items()}
+    needed = {message_of[name] for parts in kinds.values() for name in parts}
+    problems += [
+        f"cycle_ms.{name}: {path.name} has no cycle time of {name}: add cycle_ms.{name}"
+        for name in sorted(needed & by_name.keys())
+        if not by_name[name].cycle_ns
+    ]
+    if problems:
+        raise ConfigError("signals", list(dict.fromkeys(problems)))
+    spec_of = {}
+    for kind, parts in kinds.items():
+        cycle = specs[of[parts[0]]].cycle_ns
         if kind in LEAST_NS:
             cycle = max(LEAST_NS[kind], *(specs[of[n]].cycle_ns for n in parts))
         scales = {n: _scale(n, parts, resolution) for n in CARRIES[kind]}
         spec_of[kind] = _spec(kind, drive.node, cycle, scales)
-        trigger[kind] = parts[0]
-    if problems:
-        raise ConfigError("signals", list(dict.fromkeys(problems)))
+    trigger = {kind: parts[0] for kind, parts in kinds.items()}
     content = hashlib.sha256(path.read_bytes()).hexdigest()
     return Plan(
         drive.node, config.motors[drive.motor], signals, Codec(path, specs, content),
@@ -240,7 +245,8 @@ def _messages(
     try:
         specs, left_out = read_any_dbc(path)
     except DbcMismatch as error:
-        raise ConfigError("signals", [f"{path.name}: {line}" for line in error.problems]) from None
+        lines = [f"dbc: {path.name}: {line}" for line in error.problems]
+        raise ConfigError("signals", lines) from None
     wanted = {source.message for source in signals.use.values()}
     problems: list[str] = []
     out: list[MessageSpec] = []

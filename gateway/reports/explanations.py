@@ -75,9 +75,12 @@ _REASONS: Final = {
         "a log that contains the gateway's frames is played onto the bus",
     ),
     Reason.CONFIG: (
-        "`traction-gateway calibrate` makes limits for the thermal flags from fault-free logs",
-        "a thermal flag without `[thermal] calibration`; a motor whose thermal model did not hold "
-        "on held-back logs, or that turns without current",
+        "adhesion: `traction-gateway check` names the signals that the drive lacks; thermal: "
+        "`traction-gateway calibrate` makes limits from fault-free logs, with method `maisd` of "
+        "two drives or more",
+        "an inverter that sends no phase currents or voltages; a thermal flag without `[thermal] "
+        "calibration`; a motor whose thermal model did not hold on held-back logs, or that turns "
+        "without current",
     ),
 }
 """Remedy and example; the meanings are `REASONS`."""

@@ -9,17 +9,6 @@ from typing import Final
 from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
-CURES: Final = {
-    "adhesion": (
-        "wrong channel, DBC or motor? run `traction-gateway check CONFIG --log LOG`",
-        "warning",
-    ),
-    "thermal": (
-        "make limits with `traction-gateway calibrate`, or see `traction-gateway explain config`",
-        "note",
-    ),
-}
-"""For a flag that was never known: what to do, and the level of the message."""
 UNKNOWN: Final = "Unknown"
 Shares = Mapping[str, Mapping[int, float]]
 """Percent of the time, by flag and node."""

@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 from pydantic import Field, ValidationError, model_validator
 
 from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
-from dbc.toml_files import Strict, did_you_mean, numbered
+from dbc.toml_files import Strict, did_you_mean, lines_of, numbered
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.settings.sections import (
     Adhesion,
@@ -61,6 +61,8 @@ class Config(Strict):
     """SHA-256 of the signed files, by name: dbc, calibration. Empty: unsigned."""
     source: str = Field("configuration", exclude=True)
     """Name of the file; with `text`, its content, used in messages."""
+    shared_signals: dict[int, str] = Field(default_factory=dict, exclude=True)
+    """By position of a drive, the name of the `[inverter.NAME]` whose signals it has."""
     text: str = Field("", exclude=True)
 
     @model_validator(mode="after")
@@ -113,7 +115,17 @@ class Config(Strict):
 
     def error(self, problems: list[str]) -> ConfigError:
         """Return an error with these problems and the lines of the file where they are."""
-        return ConfigError(self.source, numbered(problems, self.text))
+        return ConfigError(self.source, numbered(dict.fromkeys(problems), self.text))
+
+    def signals_path(self, position: int, key: str = "") -> str:
+        """Path of the drive's signals in the file, or of a key of them; position: of the drive."""
+        path = f"drive.{position}.signals"
+        if position in self.shared_signals:
+            own = f"drive.{position}.{key}"
+            if key and tuple(own.split(".")) in lines_of(self.text):
+                return own
+            path = f"inverter.{self.shared_signals[position]}"
+        return f"{path}.{key}" if key else path
 
     @property
     def on_intruder(self) -> str:
@@ -202,7 +214,7 @@ def parse(
     """
     document, shared, problems = share(raw)
     try:
-        own = {"base": base, "source": source, "text": text}
+        own = {"base": base, "source": source, "text": text, "shared_signals": shared}
         config = Config.model_validate({**document, **own})
     except ValidationError as error:
         raise ConfigError(source, numbered(problems + _lines(error, shared), text)) from None
@@ -240,7 +252,7 @@ def load(
         raise ConfigError(str(path), ["no such file"]) from None
     except (OSError, TomlError) as error:
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
-    inner = [key for key in ("base", "sealed", "source", "text") if key in raw]
+    inner = [key for key in ("base", "sealed", "source", "text", "shared_signals") if key in raw]
     if inner:
         problems = [f"{key}: unknown key; remove it or correct its name" for key in inner]
         raise ConfigError(str(path), numbered(problems, text))

@@ -42,6 +42,8 @@ Hold = Annotated[int, within(0, 5000, "ms", "longer than any flag needs: give it
 Seconds = Annotated[float, within(0, 3600, "s", "give it in seconds")]
 Bitrate = Annotated[int, within(10_000, 1_000_000, "bit/s", "CAN has up to 1 Mbit/s: in bit/s")]
 SensorName = Literal["stator", "drive_end", "non_drive_end"]
+FEWEST_COMPARED: Final = 2
+"""Fewest motors that method 'maisd' can compare."""
 _NOISE = "a filter needs values near 1e-4, 1e-4, 1e-5, 1e-6, 0.1: give a variance per 125 us"
 Variances = tuple[
     Annotated[float, within(1e-8, 1, "A2", _NOISE)],

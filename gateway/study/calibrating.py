@@ -30,6 +30,7 @@ from gateway.settings.calibration import (
     problems_of,
 )
 from gateway.settings.config import ConfigError
+from gateway.settings.sections import FEWEST_COMPARED
 from gateway.study.calibration_fit import Fit, fits
 from gateway.study.temperature_reader import Cycles
 
@@ -160,7 +161,7 @@ class Learner:
 
     def finish(self, margin: float) -> Calibration:
         """The calibration. Raises ConfigError when the logs cannot give one."""
-        if len(self.nodes) < 2:
+        if len(self.nodes) < FEWEST_COMPARED:
             raise ConfigError("calibrate", ["MAISD compares motors: at least two are needed"])
         if self.samples < 10:
             problem = "no stretch with all sensors of all motors; record a longer fault-free run"

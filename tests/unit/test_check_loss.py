@@ -190,7 +190,7 @@ def test_a_torque_in_place_of_the_command_hides_half_a_load(tmp_path):
 @pytest.mark.parametrize(
     ("without", "said"),
     [
-        (("Ia", "Ib", "Ic"), "no phase currents, no voltages, no torque or command"),
+        (("Ia", "Ib", "Ic"), "no phase currents"),
         (("Ualpha", "Ubeta"), "no voltages"),
     ],
 )
@@ -204,8 +204,8 @@ def test_a_drive_that_can_never_be_judged_is_not_tried(tmp_path, without, said):
 def test_check_says_that_nothing_was_tried_and_why(capsys):
     code, out, err = checked(capsys, ROOT / "examples" / "inverters" / "bamocar_d3.toml")
     assert code == 2
-    assert "losses that would not be found: drive 1: no phase currents" in err
-    assert "always Unknown: no phase currents" in out
+    assert "drive 1: no adhesion flag from this inverter: no electrical angle" in err
+    assert "always Unknown: no electrical angle, no voltages" in out
     assert "not simulated: every drive is always Unknown" in out
     assert not FOUND.search(out)
 

@@ -1,0 +1,39 @@
+"""What to do about a flag that was never known, by the reason why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gateway.core.codes import Reason
+from gateway.mapping import lacks
+from gateway.reports.record import camel
+from gateway.settings.config import Config
+from gateway.settings.sections import FEWEST_COMPARED
+
+
+def cure(
+    flag: str, reasons: Sequence[Reason], config: Config, nodes: Sequence[int]
+) -> tuple[str, str]:
+    """For a flag of these drives that was never known: level of the message, and what to do."""
+    if flag == "thermal":
+        return "note", _thermal_cure(reasons, config, nodes)
+    if Reason.CONFIG in reasons:
+        return "warning", (
+            "a drive lacks signals for this flag: `traction-gateway check CONFIG` names them"
+        )
+    return "warning", "wrong channel, DBC or motor? run `traction-gateway check CONFIG --log LOG`"
+
+
+def _thermal_cure(reasons: Sequence[Reason], config: Config, nodes: Sequence[int]) -> str:
+    thermal = config.thermal
+    if thermal.method == "maisd" and len(config.nodes) < FEWEST_COMPARED:
+        return "method 'maisd' compares the motors of two drives or more"
+    signals = [drive.signals for drive in config.drive if drive.node in nodes]
+    absent = {text for one in signals if one is not None for text in lacks.thermal(one)}
+    if thermal.method == "model" and absent:
+        return f"method 'model' cannot judge a mapped drive: {', '.join(sorted(absent))}"
+    limits = "make limits with `traction-gateway calibrate`"
+    if Reason.CONFIG in reasons:
+        return f"{limits}, or see `traction-gateway explain config`"
+    words = ", ".join(f"`traction-gateway explain {camel(reason.name)}`" for reason in reasons)
+    return f"see {words}" + ("" if thermal.calibration else f"; then {limits}")
