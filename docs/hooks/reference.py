@@ -93,7 +93,8 @@ def commands() -> str:
         "",
         "Exit codes: 0 good, 1 an expectation failed or more than 1 % of a log was dropped, 2 bad "
         "input or configuration, 130, 143, 141 ended by Ctrl-C, SIGTERM, a broken pipe. `run` and "
-        "`monitor` end with 0 after a signal: it is how they are stopped.",
+        "`monitor` end with 0 after a signal: it is how they are stopped. Ctrl-C before "
+        "they are ready gives 130.",
         "",
     ]
     for verb in cli.VERBS:
