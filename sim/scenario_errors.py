@@ -26,7 +26,7 @@ def problems_of(error: ValidationError, model: type[BaseModel]) -> list[str]:
     found: dict[str, list[Any]] = {}
     for item in error.errors():
         found.setdefault(_path(item["loc"]), []).append(item)
-    return [line for path, items in found.items() for line in _lines(path, items, model)]
+    return [line for path, items in found.items() for line in _described(path, items, model)]
 
 
 def _path(location: tuple[int | str, ...]) -> str:
@@ -39,7 +39,7 @@ def _path(location: tuple[int | str, ...]) -> str:
     return path
 
 
-def _lines(path: str, items: list[Any], model: type[BaseModel]) -> Iterator[str]:
+def _described(path: str, items: list[Any], model: type[BaseModel]) -> Iterator[str]:
     if items[0]["type"] == "extra_forbidden":
         yield f"{path}: unknown key{did_you_mean(model, items[0]['loc'])}"
         return
