@@ -17,6 +17,7 @@ from dbc.bounds import Strict
 from dbc.near_key import did_you_mean
 from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
 from dbc.toml_lines import numbered
+from dbc.value_errors import wording
 from gateway.settings.inverters import share
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.settings.sections import (
@@ -184,7 +185,7 @@ def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
         if loc[:1] == ("drive",) and loc[2:3] == ("signals",) and loc[1] in shared:
             loc = ("inverter", shared[int(loc[1])], *loc[3:])
         path = ".".join(str(p) for p in loc)
-        text = item["msg"].removeprefix("Value error, ")
+        text = wording(item)
         if item["type"] == "extra_forbidden":
             near = did_you_mean(Config, item["loc"])
             text = f"unknown key{near or '; remove it or correct its name'}"
