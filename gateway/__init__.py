@@ -5,8 +5,27 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+import _signal  # type: ignore[import-not-found]  # `signal` imports `enum`: some milliseconds
+import os
+import sys
+
+NAME = "traction-gateway"
+
+
+def _is_program() -> bool:
+    """Whether this process is the command line, and no worker of it or program of its user."""
+    name = (getattr(sys, "argv", None) or [""])[0]
+    ours = name == "-m" or os.path.basename(name) == NAME  # noqa: PTH119 pathlib is slow to load
+    return ours and "multiprocessing" not in sys.modules
+
+
+if _is_program() and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+    # Before any other import: until `gateway.io.endings` handles signals, Ctrl-C ends the program
+    # without a traceback.
+    _signal.signal(_signal.SIGINT, lambda *_: os._exit(130))
+
+import importlib  # noqa: E402
+from typing import Any  # noqa: E402
 
 _API = (
     "Config", "ConfigError", "Evidence", "Gateway", "Opinion", "detectors", "replay", "scenario",

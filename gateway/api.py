@@ -19,6 +19,7 @@ from dbc.frame import Frame
 from estimators.detect import DETECTORS, WITH_MEMORY, Detector, Evidence, Opinion
 from gateway.core import start_record
 from gateway.core.gateway import Gateway
+from gateway.io.extras import need
 from gateway.io.prepare import prepare
 from gateway.io.replay import OneChannel, Replayed, Sink, open_log
 from gateway.io.replay import replay as run_log
@@ -116,7 +117,11 @@ class Run:
         return known.shares(self._changes, self.config.nodes, first_ns, self._last_ns)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Flags and estimates side by side, a row for each tick and drive. Needs pandas."""
+        """Flags and estimates side by side, a row for each tick and drive.
+
+        Raises ConfigError without pandas or pyarrow.
+        """
+        need(("pandas", "pyarrow"), "pandas", "to_pandas")
         return self.flags.to_pandas().merge(self.estimates.to_pandas(), on=["t_s", "drive"])
 
     def report(self, folder: FilePath) -> Path:
@@ -124,12 +129,15 @@ class Run:
 
         Raises ConfigError without matplotlib, OSError.
         """
+        from gateway.io.whole_file import whole_folder
         from gateway.reports.reporting import Reporting, leave
 
-        with Reporting(Path(folder), self.config, self._codec) as kept:
-            facts = self._again(kept)
-        run = kept.run(self.title, facts, verdicts=self.verdicts)
-        return leave(Path(folder), self.title, [run], single=True)
+        with whole_folder(Path(folder)) as part:
+            with Reporting(part, self.config, self._codec) as kept:
+                facts = self._again(kept)
+            run = kept.run(self.title, facts, verdicts=self.verdicts)
+            report = leave(part, self.title, [run], single=True)
+        return Path(folder) / report.name
 
     def __repr__(self) -> str:
         """One line: title, duration, shares of time with known flags."""
@@ -258,9 +266,7 @@ def _joined(parts: Sequence[tuple[Column, ...]]) -> list[Column]:
 
 
 def _table(names: Sequence[str], columns: Sequence[Column | tuple[object, ...]]) -> pa.Table:
-    from gateway.io.extras import need
-
-    need(("pyarrow",), "parquet", "tables")
+    need(("pyarrow",), "pandas", "tables")
     import pyarrow as pa
 
     words = {*FLAGS_HEADER[2:], "flag", "state", "health", "fault_class"}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import logging
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -124,8 +125,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             code = _printed(words)
         except KeyboardInterrupt as error:
-            # A service that is stopped before it starts has ended as it should.
-            code = 0 if words[:1] in _SERVICES else endings.ended_by(error).code
+            # Stopped before it was ready. SIGTERM is how systemd stops a service at any time.
+            ended = endings.ended_by(error)
+            service = words[:1] in _SERVICES and ended.number == signal.SIGTERM
+            code = 0 if service else ended.code
         except BrokenPipeError:
             code = endings.BROKEN_PIPE
         except Exception:

@@ -16,8 +16,10 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
-from dbc.toml_files import did_you_mean, numbered, within
+from dbc.toml_files import numbered, within
+from dbc.value_errors import quoted
 from sim.physics.adhesion import rail
+from sim.scenario_errors import problems_of
 from sim.scenario_schema import (
     BusModel,
     Load,
@@ -51,6 +53,10 @@ NEEDS: Final[dict[str, str]] = {
 NEEDS_RAIL: Final = (
     "slip_limiter and friction_brake need a wheel on the rail: load.kind = 'rail', traffic = 'full'"
 )
+TICK_S: Final = 0.01
+UNKNOWN_S: Final = 0.1
+"""No flag is known before: thermal flags are sent every 100 ms, adhesion needs longer."""
+TRAIN_FLAGS: Final = ("common_mode", "comm", "sensor")
 SENSOR_KINDS: Final = ("sensor_stuck", "sensor_bias", "sensor_lost")
 
 
@@ -89,42 +95,51 @@ class Event(Strict):
     for_s: Span | None = None
     drive: int | Literal["all"] = "all"
     kind: Kind
-    depth: float | None = Field(None, ge=0, le=1)
+    depth: Annotated[float, within(0, 1, "", "a fraction: 90 % is 0.9")] | None = None
     value: Number | str | None = None
     ramp_s: Time = 0.0
     sensor: Sensor | None = None
 
     @model_validator(mode="after")
     def _fits_kind(self) -> Self:
-        wrong = []
+        wrong = list(self._amount_problems())
+        if self.ramp_s and self.kind not in ("adhesion_loss", "friction_brake"):
+            wrong.append("ramp_s: belongs to adhesion_loss and friction_brake")
+        if self.for_s is not None and 2 * self.ramp_s > self.for_s:
+            wrong.append("ramp_s: two ramps do not fit into for_s")
+        if self.sensor and self.kind not in (*SENSOR_KINDS, "bearing"):
+            wrong.append("sensor: belongs to sensor_* and bearing")
+        if self.kind == "bearing" and self.sensor not in (None, "drive_end", "non_drive_end"):
+            wrong.append("sensor: a bearing is at the drive_end or the non_drive_end")
+        if wrong:
+            raise ValueError("\n".join(wrong))
+        return self
+
+    def _amount_problems(self) -> Iterator[str]:
+        """What is wrong with `depth` and `value` for this kind of event."""
         need = NEEDS[self.kind]
         given = {k for k in ("depth", "value") if getattr(self, k) is not None}
         if need == "none" and given:
-            wrong.append(f"{self.kind} takes neither depth nor value")
+            yield f"{self.kind} takes neither depth nor value"
         if need in ("depth", "value") and given != {need}:
-            wrong.append(f"{self.kind} needs {need} and nothing else")
+            yield f"{self.kind} needs {need} and nothing else"
         if need == "either" and len(given) != 1:
-            wrong.append(f"{self.kind} needs depth or value")
-        if isinstance(self.value, str) and self.kind != "rail":
-            wrong.append(f"value of {self.kind} must be a number")
-        if self.kind == "rail" and self.value is not None:
+            yield f"{self.kind} needs depth or value"
+        if self.depth == 0.0:
+            yield "depth: 0 has no effect: expected more than 0, up to 1"
+        if self.value is None:
+            return
+        if self.kind == "rail":
             try:
                 rail(self.value)
             except ValueError as error:
-                wrong.append(str(error))
-        if self.ramp_s and self.kind not in ("adhesion_loss", "friction_brake"):
-            wrong.append("ramp_s belongs to adhesion_loss and friction_brake")
-        if self.kind == "friction_brake" and self.number < 0.0:
-            wrong.append("value of friction_brake must be 0 or more: friction drives no wheel")
-        if self.for_s is not None and 2 * self.ramp_s > self.for_s:
-            wrong.append("two ramps do not fit into for_s")
-        if self.sensor and self.kind not in (*SENSOR_KINDS, "bearing"):
-            wrong.append("sensor belongs to sensor_* and bearing")
-        if self.kind == "bearing" and self.sensor not in (None, "drive_end", "non_drive_end"):
-            wrong.append("a bearing is at the drive_end or the non_drive_end")
-        if wrong:
-            raise ValueError("; ".join(wrong))
-        return self
+                yield f"value: {error}"
+        elif isinstance(self.value, str):
+            yield f"value: expected a number for {self.kind}, got {quoted(self.value)}"
+        elif self.value == 0.0:
+            yield "value: 0 has no effect"
+        elif self.kind == "friction_brake" and self.value < 0.0:
+            yield f"value: expected more than 0, got {self.value:g}: friction drives no wheel"
 
     @property
     def end_s(self) -> float:
@@ -142,7 +157,12 @@ class Expect(Strict):
 
     Between `after_s` and `after_s` + `within_ms` the flag is seen as `is_`; without `within_ms` at
     any time from `after_s` on; with `never = true` at no time from `after_s` on.
-    `drive = "others"`: all drives that no event names.
+    `drive = "others"`: all drives that no event names. `common_mode`, `comm` and `sensor` are flags
+    of the whole train.
+
+    A flag that stays unknown proves nothing: `never` bad fails unless the flag was known at some
+    time from `after_s` on, `never` good unless it was known at some time of the run. Unknown can be
+    expected from 0.1 s on: before, no flag is known.
     """
 
     flag: Literal["adhesion", "thermal", "common_mode", "comm", "sensor"]
@@ -156,6 +176,14 @@ class Expect(Strict):
     def _one_kind(self) -> Self:
         if self.never and self.within_ms is not None:
             raise ValueError("within_ms and never: give one of them")
+        if self.flag in TRAIN_FLAGS and self.drive != "all":
+            cure = "leave drive out, or expect adhesion or thermal of a drive"
+            raise ValueError(f"drive: {self.flag} is a flag of the whole train: {cure}")
+        if self.is_ == "unknown" and not self.never and self.after_s < UNKNOWN_S:
+            raise ValueError(
+                "after_s: every flag is unknown at the start, so this always holds: "
+                f"expected {UNKNOWN_S:g} s or more, after the flag should have become known"
+            )
         return self
 
 
@@ -199,16 +227,7 @@ class Scenario(Strict):
             for k, drive in enumerate(items)
             if isinstance(drive, int) and not 1 <= drive <= self.drives
         ]
-        wrong += [
-            f"{where}[{k}].{key}: {at:g} s is not before the end at {self.duration_s:g} s: it "
-            "would have no effect"
-            for where, key, times in (
-                ("event", "at_s", [e.at_s for e in self.event]),
-                ("expect", "after_s", [e.after_s for e in self.expect]),
-            )
-            for k, at in enumerate(times)
-            if at >= self.duration_s
-        ]
+        wrong += self._late()
         wrong += [f"expect[{k}].{problem}" for k, problem in self._vacuous()]
         lists = {f"mismatch.{k}": getattr(self.mismatch, k) for k in ("R_s", "L_s", "psi_pm")}
         lists |= {"load.share": self.load.share, "load.wheel": self.load.wheel}
@@ -218,7 +237,7 @@ class Scenario(Strict):
             if isinstance(values, list) and len(values) != self.drives
         ]
         if wrong:
-            raise ValueError("; ".join(wrong))
+            raise ValueError("\n".join(wrong))
         return self
 
     @model_validator(mode="after")
@@ -240,11 +259,28 @@ class Scenario(Strict):
             raise ValueError(NEEDS_RAIL)
         return self
 
+    def _late(self) -> Iterator[str]:
+        """Events and expectations that begin or end after the scenario."""
+        last_s = self.duration_s - TICK_S + 1e-9
+        begins = [(f"event[{k}].at_s", e.at_s) for k, e in enumerate(self.event)]
+        begins += [(f"expect[{k}].after_s", e.after_s) for k, e in enumerate(self.expect)]
+        for where, at in begins:
+            if at > last_s:
+                why = f"is not a tick ({TICK_S:g} s) before the end at {self.duration_s:g} s"
+                yield f"{where}: {at:g} s {why}: it would have no effect"
+        for k, event in enumerate(self.event):
+            if event.for_s is not None and event.end_s > self.duration_s + 1e-9:
+                end = f"the scenario ends at {self.duration_s:g} s"
+                cure = "leave for_s out for an event that lasts to the end"
+                yield f"event[{k}].for_s: until {event.end_s:g} s, but {end}: {cure}"
+
     def _vacuous(self) -> Iterator[tuple[int, str]]:
         """Expectations that would check nothing, or less than they state: index and reason."""
         for k, expect in enumerate(self.expect):
             if expect.drive == "others" and not self.drives_of("others"):
                 yield k, "drive: there are no others, because events name all drives"
+            if self.traffic == "slow" and expect.flag in ("adhesion", "common_mode"):
+                yield k, f"flag: {expect.flag} stays unknown with traffic = 'slow'"
             until_s = expect.after_s + (expect.within_ms or 0.0) / 1000.0
             if until_s > self.duration_s:
                 end = f"the scenario ends at {self.duration_s:g} s"
@@ -269,7 +305,7 @@ def parse(table: Mapping[str, Any], source: str = "scenario", text: str = "") ->
     try:
         return Scenario.model_validate(table)
     except ValidationError as error:
-        raise ScenarioError(source, numbered(_problems(error), text)) from None
+        raise ScenarioError(source, numbered(problems_of(error, Scenario), text)) from None
 
 
 def parse_text(text: str, source: str = "scenario") -> Scenario:
@@ -303,6 +339,8 @@ def load(path: Path | str) -> Scenario:
     path = Path(path)
     try:
         text = toml_text(read_bytes(path))
+    except FileNotFoundError:
+        raise ScenarioError(str(path), [_unknown("no such file")]) from None
     except (OSError, TomlError) as error:
         raise ScenarioError(str(path), [f"cannot be read: {error}"]) from None
     return parse_text(text, str(path))
@@ -316,37 +354,9 @@ def builtin_names() -> tuple[str, ...]:
 def builtin(name: str) -> Scenario:
     """A scenario of the package. Raises ScenarioError for an unknown name."""
     if name not in builtin_names():
-        raise ScenarioError(
-            name, [f"no such file or scenario; there are {', '.join(builtin_names())}"]
-        )
+        raise ScenarioError(name, [_unknown("no such file or scenario")])
     return parse_text((_SCENARIOS / f"{name}.toml").read_text(encoding="utf-8"), name)
 
 
-def _problems(error: ValidationError) -> list[str]:
-    """One line per path: `event[2].kind: ...`."""
-    found: dict[str, list[str]] = {}
-    for item in error.errors():
-        path = ""
-        for part in item["loc"]:
-            if isinstance(part, int):
-                path += f"[{part}]"
-            elif part not in _BRANCHES and not part.startswith(_CHECKED):
-                path += f".{part}" if path else part
-        message = item["msg"].removeprefix("Value error, ")
-        known = item["type"] != "extra_forbidden"
-        found.setdefault(path, []).append(
-            message if known else f"unknown key{did_you_mean(Scenario, item['loc'])}"
-        )
-    lines = []
-    for path, messages in found.items():
-        text = " or ".join(dict.fromkeys(messages))
-        lines += [f"{path}: {text}"] if path else text.split("; ")
-    return lines
-
-
-_BRANCHES: Final = frozenset({
-    "int", "float", "str", "constrained-float", "list[constrained-float]",
-    "literal['all']", "literal['all','others']", "literal['equilibrium','ambient']",
-})  # fmt: skip
-_CHECKED: Final = ("function-after[", "list[function-after[")
-"""Names that pydantic adds to a location inside a union; they are no keys of the file."""
+def _unknown(problem: str) -> str:
+    return f"{problem}; there are {', '.join(builtin_names())}"

@@ -5,7 +5,7 @@ May know: names and numbers. May not know: bits, buses, how anything is simulate
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -30,6 +30,7 @@ Within = Annotated[float, Field(ge=0, lt=1)]
 
 OWN: Final = ("R_s", "L_s", "psi_pm", "pole_pairs", "J", "I_rated", "T_rated", "U_dc")
 """Parameters that are needed for a motor of one's own."""
+_MOTORS: Final = f"one of {', '.join(MOTORS)}"
 _BITRATE: Final = Bounds(10_000, 1_000_000, "bit/s", "in bit/s; 0 for a bus without one, as vcan")
 
 
@@ -60,6 +61,13 @@ class MotorChoice(Strict):
     B: Annotated[float, within(0, 100, "Nm s", "friction per rad/s of the rotor")] = 0.0
     k_p: Annotated[float, within(0.5, 3, "", "1.5 for amplitude-invariant values")] = 1.5
 
+    @model_validator(mode="before")
+    @classmethod
+    def _table(cls, given: Any) -> Any:
+        if isinstance(given, str):
+            raise ValueError(f'expected [motor] name = "..", {_MOTORS}; got motor = {given!r}')  # noqa: TRY004
+        return given
+
     @model_validator(mode="after")
     def _known(self) -> Self:
         given = [key for key in OWN if getattr(self, key) is not None]
@@ -71,7 +79,7 @@ class MotorChoice(Strict):
             raise ValueError("give either name or the motor's own parameters, not both")
         if self.name not in MOTORS:
             own = "for another give its parameters"
-            raise ValueError(f"unknown motor {self.name!r}: one of {', '.join(MOTORS)}; {own}")
+            raise ValueError(f"name: unknown motor {self.name!r}: {_MOTORS}; {own}")
         return self
 
     @property
@@ -142,9 +150,14 @@ class Load(Strict):
         plain = self.share == self.wheel == 1.0 and not self.share_within and not self.wheel_within
         return not plain or bool(self.curve)
 
+    @field_validator("rail")
+    @classmethod
+    def _known_rail(cls, given: float | str) -> float | str:
+        rail(given)
+        return given
+
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        rail(self.rail)
         if self.disturbance and self.kind != "preset":
             raise ValueError("disturbance needs kind = 'preset'")
         if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
+from dbc.extras import how_to_install
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
 from dbc.frames import EMPTY, MAX_DATA_BYTES, Block, join
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
@@ -52,7 +53,8 @@ class Mf4(ObjectReader):
         self._reset()
         module = mf4_module()
         if getattr(module, "asammdf", None) is None:
-            raise LogError(self.name, 0, "cannot be read: asammdf is not installed")
+            cure = how_to_install("mf4")
+            raise LogError(self.name, 0, f"cannot be read: needs asammdf: {cure}")
         _calm(module)
         try:
             with ExitStack() as stack:

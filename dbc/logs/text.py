@@ -346,8 +346,8 @@ class TextReader(Reader):
         """A line, preceded by its fault if the format can name that."""
         text = text[:MAX_LINE].rstrip()
         reason = self._format.explain(text)
-        text = text.lstrip()
-        return printable((f"{reason}: {text}" if reason else text)[:120])
+        text = text.lstrip()[:120]
+        return printable(f"{reason}: {text[:60]}" if reason else text)
 
     def _head(self, parts: tuple[str, ...]) -> Head:
         if len(self._heads) > _HEADS_KEPT:

@@ -1,7 +1,8 @@
 """Pages of the site that are made of the code: commands, keys, messages, the API, sources.
 
-mkdocs calls `on_files` and `on_page_markdown`. Nothing of it is committed, so nothing of it can be
-out of date.
+mkdocs calls `on_files` and `on_page_markdown`. The pages of `COMMITTED` are in the repository, for
+its readers: `python docs/hooks/reference.py` writes them, a test compares them. All others are made
+with the site, so they cannot be out of date.
 """
 
 from __future__ import annotations
@@ -22,19 +23,22 @@ from cantools.database import Signal
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
-from pydantic import BaseModel
+from pydantic import AfterValidator, BaseModel
 from pydantic.fields import FieldInfo
 
 import dbc
 import estimators
 import gateway
 import sim
+from dbc.toml_files import Within
 from gateway import cli
 from gateway.settings import config
 from sim import scenario, scenarios
 from sim.scenario_schema import Strict as SimStrict
 
 ROOT = Path(__file__).parents[2]
+COMMITTED = ("scenarios", "configuration", "messages")
+"""Pages in docs/reference that other pages refer to."""
 SIGNS = {Gt: ">", Ge: ">=", Lt: "<", Le: "<="}
 BOUNDS = {Gt: "gt", Ge: "ge", Lt: "lt", Le: "le"}
 NUMBERED = "Drive1_"
@@ -47,6 +51,8 @@ LINE = re.compile(r"\[`(\w+)`\]\(\.\./([\w./]+\.(c|py))#L(\d+)\)")
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what is generated."""
     for name, text in pages().items():
+        if name in COMMITTED:
+            continue
         files.append(File.generated(config, f"reference/{name}.md", content=text))
     for path in sorted({found[1] for found in LINE.findall(_all_pages())}):
         files.append(File.generated(config, f"source/{path}.md", content=source(path)))
@@ -93,7 +99,8 @@ def commands() -> str:
         "",
         "Exit codes: 0 good, 1 an expectation failed or more than 1 % of a log was dropped, 2 bad "
         "input or configuration, 130, 143, 141 ended by Ctrl-C, SIGTERM, a broken pipe. `run` and "
-        "`monitor` end with 0 after a signal: it is how they are stopped.",
+        "`monitor` end with 0 after a signal: it is how they are stopped. Ctrl-C before "
+        "they are ready gives 130.",
         "",
     ]
     for verb in cli.VERBS:
@@ -182,7 +189,9 @@ def _words(kind: typing.Any) -> str:
     if origin in (list, tuple):
         parts = " , ".join(_words(part) for part in args if part is not ...)
         return f"list of {parts}" if origin is list or ... in args else f"({parts})"
-    return kind.__name__ if isinstance(kind, type) else str(kind)
+    if not isinstance(kind, type):
+        return str(kind)
+    return "table" if issubclass(kind, BaseModel) else kind.__name__
 
 
 def _rules(metadata: Iterable[typing.Any]) -> Iterator[typing.Any]:
@@ -191,11 +200,12 @@ def _rules(metadata: Iterable[typing.Any]) -> Iterator[typing.Any]:
 
 
 def _limits(metadata: Iterable[typing.Any]) -> str:
-    shown = [
-        f" {SIGNS[type(rule)]} {getattr(rule, BOUNDS[type(rule)])}"
-        for rule in metadata
-        if type(rule) in SIGNS
-    ]
+    shown = []
+    for rule in metadata:
+        if type(rule) in SIGNS:
+            shown.append(f" {SIGNS[type(rule)]} {getattr(rule, BOUNDS[type(rule)])}")
+        elif isinstance(rule, AfterValidator) and isinstance(rule.func, Within):
+            shown.append(f" {rule.func}")
     return ",".join(shown)
 
 
@@ -265,3 +275,14 @@ def _modules(package: object) -> Iterator[str]:
         hidden = any(part.startswith("_") for part in parts) or "scenarios" in parts
         if not hidden and parts[-1] not in {"build", "plugin"} and parts[1:2] != ["commands"]:
             yield info.name
+
+
+def main() -> None:
+    """Write the pages that are committed."""
+    made = pages()
+    for name in COMMITTED:
+        (ROOT / "docs" / "reference" / f"{name}.md").write_text(made[name], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,6 @@
 """Keywords for Robot Framework: scenarios of traction-gateway on the virtual clock.
 
-Needs the extra `parquet`, for the table of events.
+Needs the extra `pandas`, for the table of events.
 """
 
 import gateway

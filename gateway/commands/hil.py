@@ -72,13 +72,28 @@ def run(options: argparse.Namespace) -> int:
             raise ScenarioError(name, [f"no [[expect]]: nothing would be judged; {cure}"])
     if options.mutate is not None:
         return hil_mutate.run(options, scenarios)
-    folders = _folders(options.results, options.scenario)
+    with ExitStack() as results:
+        return _judge_all(options, scenarios, results)
+
+
+def _judge_all(
+    options: argparse.Namespace, scenarios: Sequence[tuple[str, Any]], results: ExitStack
+) -> int:
+    """Run and judge the scenarios. results: holds the folder of the report until it is complete."""
+    folder = None
+    if options.results is not None:
+        from gateway.io.extras import pictures
+        from gateway.io.whole_file import whole_folder
+
+        pictures("--results")
+        folder = results.enter_context(whole_folder(options.results))
+    folders = _folders(folder, options.scenario)
     runs: list[Run] = []
     suites = ET.Element("testsuites")
     failed = inconclusive = 0
-    for (name, scenario), folder in zip(scenarios, folders, strict=True):
+    for (name, scenario), inside in zip(scenarios, folders, strict=True):
         began = time.perf_counter()
-        outcome, word = _one(options, name, scenario, folder, runs)
+        outcome, word = _one(options, name, scenario, inside, runs)
         seconds = time.perf_counter() - began
         inconclusive += outcome.inconclusive
         failed += not outcome.passed and not outcome.inconclusive
@@ -95,11 +110,13 @@ def run(options: argparse.Namespace) -> int:
 
         with whole(options.junit) as part:
             ET.ElementTree(suites).write(part, encoding="utf-8", xml_declaration=True)
-    if runs:
+    if folder is not None:
         from gateway.reports.reporting import leave
 
         title = runs[0].title if len(runs) == 1 else f"HIL: {len(runs)} scenarios"
-        print(f"report: {leave(options.results, title, runs, single=len(runs) == 1)}")
+        report = leave(folder, title, runs, single=len(runs) == 1)
+        results.close()
+        print(f"report: {options.results / report.name}")
     return FAILED if failed else INCONCLUSIVE if inconclusive else GOOD
 
 

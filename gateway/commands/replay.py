@@ -82,6 +82,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay; print tables and counts. Exit 1 if more than 1 % of the log was dropped."""
+    with ExitStack() as results:
+        return _replay(options, results)
+
+
+def _replay(options: argparse.Namespace, results: ExitStack) -> int:
     with leanstart.unsearched():
         from dbc.candump.reader import Reader
         from dbc.candump.writer import Writer
@@ -107,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
     if isinstance(log.reader, Reader):  # much of it is compiled, so it runs beside the core
         log = log._replace(blocks=ahead(iter(log.blocks)))
     blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
-    left = _reporting(options, config, codec)
+    left = _reporting(options, config, codec, results)
     noted = Changes()
     writer: Writer | None = None
 
@@ -144,7 +149,9 @@ def run(options: argparse.Namespace) -> int:
         f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks", wrap=True,
     )  # fmt: skip
     if left is not None:
-        print(f"report: {_report(options, left, done, log.reader)}")
+        report = _report(options, left, done, log.reader)
+        results.close()
+        print(f"report: {options.results / report.name}")
     code = verdict_of_input(
         {"time_back": done.dropped, **faults(log.reader)}, done.frames - done.dropped
     )
@@ -177,8 +184,13 @@ def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[st
     return FAILED if short else GOOD
 
 
-def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Reporting | None:
-    """Recorder of the run for a report, if one is wanted. Raises ConfigError."""
+def _reporting(
+    options: argparse.Namespace, config: Config, codec: Codec, results: ExitStack
+) -> Reporting | None:
+    """Recorder of the run for a report, if one is wanted. Raises ConfigError.
+
+    results: holds the folder of the report until it is complete.
+    """
     if options.results is None:
         for option in ("truth", "mcap"):
             if getattr(options, option):
@@ -186,13 +198,16 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
         return None
     if options.mcap:
         extras.need(("mcap",), "mcap", "--mcap")
+    from gateway.io.whole_file import whole_folder
     from gateway.reports.reporting import Reporting
     from gateway.reports.ticks import MOST_OF_LOG
     from gateway.reports.truth import check
 
     if options.truth is not None:
         check(options.truth)
-    return Reporting(options.results, config, codec, MOST_OF_LOG)
+    extras.pictures("--results")
+    folder = results.enter_context(whole_folder(options.results))
+    return Reporting(folder, config, codec, MOST_OF_LOG)
 
 
 def _messages(
@@ -235,7 +250,7 @@ def _report(
                              "log's first frame.")  # fmt: skip
         run = left.run(options.log.name, facts, notes=notes, step=step)
         step("page")
-        return leave(options.results, f"Replay of {options.log.name}", [run], single=True)
+        return leave(left.folder, f"Replay of {options.log.name}", [run], single=True)
 
 
 def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> None:
@@ -255,6 +270,8 @@ def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> No
         console().print(f"and {done.clock.steps - SHOWN} more times")
     counts = done.gateway.inbox.counts
     print("frames: " + ", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v))
+    whole, part = divmod(done.first_ns, 10**9)
+    print(f"times: from the first frame, {whole}.{part:09d} s on the log's clock")
     for t_ns, node, what, word in changes:
         seconds = (t_ns - done.first_ns) / 1e9
         print(f"{seconds:12.3f} s  drive {node}  {what:8}  {word}")

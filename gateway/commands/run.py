@@ -104,8 +104,8 @@ def run(options: argparse.Namespace) -> int:
         try:
             config, transport, ticker, gateway = _start(options)
         except KeyboardInterrupt:
-            log.info("stopped during start-up")
-            return GOOD
+            log.warning("stopped before the bus was used")
+            raise
         from gateway.io.canopen_node import CanopenNode
         from gateway.io.live import Stop, run_live
         from gateway.io.outputs import Outputs

@@ -25,8 +25,8 @@ from gateway.io.logtime import HOLE_NS, LogTime
 
 MOST_TICKS = 4096
 """Most ticks that are requested from the core in one call."""
-REPORTED = 60
-"""Characters that a message quotes from a line that is no frame."""
+REPORTED = 200
+"""Most characters that a message quotes of a line that is no frame, its fault included."""
 
 Array = NDArray[np.float64]
 Sink = Callable[[Nanos, list[Frame], Gateway], None]

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from shutil import rmtree
 from typing import Final
 
 PART: Final = ".part"
@@ -40,6 +41,25 @@ def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
         raise
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """Yield a folder to write to, whose files are moved into `folder` at the end. Raises OSError.
+
+    After an exception or a signal none of them is left. `folder` may have other files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / f"{PART}-{os.getpid()}"
+    part.mkdir(exist_ok=True)
+    try:
+        yield part
+        for path in sorted(path for path in part.rglob("*") if not path.is_dir()):
+            target = folder / path.relative_to(part)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(target)
+    finally:
+        rmtree(part, ignore_errors=True)
 
 
 @contextmanager

@@ -57,6 +57,7 @@ class Verdict(NamedTuple):
     limit_ms: float | None = None
 
 
+UNPROVEN = "not seen, but the flag was unknown for all that time, which proves nothing"
 _USABLE = (Check.OK, Check.OK_SOME_LOST)
 
 
@@ -111,6 +112,17 @@ def judge(
     return verdicts
 
 
+def proves(wanted: Flag, states: Iterable[Flag], run: Iterable[tuple[int, Flag]]) -> bool:
+    """Whether `wanted` could have been seen: the flag was known at some time.
+
+    states: of the time in which it was not seen; run: of the whole run. A flag that must not be
+    good may stay unknown for that time, but not for the whole run.
+    """
+    if wanted is Flag.GOOD:
+        states = (state for _, state in run)
+    return any(state is not Flag.UNKNOWN for state in states)
+
+
 def _one(expect: Expectation, seen: list[tuple[int, Flag]], node: int, start_ns: int) -> Verdict:
     wanted = WORDS[expect.is_]
     after = start_ns + round(expect.after_s * 1e9)
@@ -125,6 +137,8 @@ def _one(expect: Expectation, seen: list[tuple[int, Flag]], node: int, start_ns:
         states = [state for t_ns, state in seen if t_ns >= after]
         if not states:
             return Verdict(text, False, "no flag frame")
+        if not proves(wanted, states, seen):
+            return Verdict(text, False, UNPROVEN)
         known = sum(state is not Flag.UNKNOWN for state in states) / len(states)
         share = "" if known == 1.0 else f"; the flag was known for {known:.0%} of that time"
         return Verdict(text, True, f"held{share}")

@@ -189,6 +189,11 @@ def replay_facts(path: Path, done: Replayed, trace: Trace) -> Facts:
         ("channel", literal(done.channel) if done.channel else "not named"),
         *span_facts(trace, done.frames),
         ("first frame, last frame", f"{first} s, {last} s on the log's own clock"),
+        (
+            "times",
+            "in this report from the first frame; in `flags.csv` and `estimates.csv` on the "
+            "log's own clock",
+        ),
     ]
 
 

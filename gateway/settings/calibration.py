@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationError
 
 from dbc.text import read_bytes, read_toml, toml_text
 from dbc.toml_files import Strict, numbered, within
+from dbc.value_errors import wording
 from estimators.thermal import model
 from estimators.thermal.monitor import OWN_K, RAISE, Coverage, Known
 from estimators.thermal.promise import Hours, promise_of
@@ -223,10 +224,7 @@ def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
 
 def problems_of(error: ValidationError) -> list[str]:
     """One line for each value that is not valid."""
-    return [
-        f"{'.'.join(map(str, item['loc']))}: {item['msg'].removeprefix('Value error, ')}"
-        for item in error.errors()
-    ]
+    return [f"{'.'.join(map(str, item['loc']))}: {wording(item)}" for item in error.errors()]
 
 
 def load(

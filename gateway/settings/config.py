@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
 from dbc.toml_files import Strict, did_you_mean, lines_of, numbered
+from dbc.value_errors import wording
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.settings.sections import (
     Adhesion,
@@ -194,7 +195,7 @@ def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
         if loc[:1] == ("drive",) and loc[2:3] == ("signals",) and loc[1] in shared:
             loc = ("inverter", shared[int(loc[1])], *loc[3:])
         path = ".".join(str(p) for p in loc)
-        text = item["msg"].removeprefix("Value error, ")
+        text = wording(item)
         if item["type"] == "extra_forbidden":
             near = did_you_mean(Config, item["loc"])
             text = f"unknown key{near or '; remove it or correct its name'}"

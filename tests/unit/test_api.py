@@ -99,3 +99,11 @@ def test_names_are_public_and_signatures_are_kept():
         assert str(inspect.signature(getattr(gateway, name))) == signature
     with pytest.raises(AttributeError, match="nothing"):
         _ = gateway.nothing
+
+
+def test_without_its_libraries_it_names_both_and_their_command(run, monkeypatch):
+    monkeypatch.setattr("gateway.io.extras.find_spec", lambda _name: None)
+    monkeypatch.setattr("gateway.io.extras.how_to_install", "pip install '.[{}]'".format)
+    with pytest.raises(gateway.ConfigError) as caught:
+        run.to_pandas()
+    assert str(caught.value) == "to_pandas: needs pandas, pyarrow: pip install '.[pandas]'"

@@ -63,7 +63,7 @@ def test_a_problem_has_the_line_of_its_key(tmp_path):
     assert text.startswith(f"{path}: ")
     assert "line 3: loop.rate_hz: " in text
     assert "line 9: drive.1.moter: unknown key; did you mean 'motor'?" in text
-    assert "line 11: motor.mine.L_s: Field required" in text
+    assert "line 11: motor.mine.L_s: expected, but missing" in text
 
 
 def test_a_mapping_that_does_not_fit_its_dbc_has_file_and_line(tmp_path):
@@ -197,7 +197,7 @@ def test_a_drive_has_all_sensors_unless_told_which():
     [
         ([], "drive.0.sensors: at least one is needed"),
         (["stator", "stator"], "drive.0.sensors: stator is listed twice"),
-        (["winding"], "drive.0.sensors.0: Input should be 'stator', 'drive_end' or"),
+        (["winding"], "drive.0.sensors.0: expected 'stator', 'drive_end' or"),
     ],
 )
 def test_sensors_are_refused_in_one_line(sensors, said):

@@ -19,7 +19,7 @@ ESCAPE = "\x1b[2J\x1b]0;owned\x07"
 SHOWN = r"wet\x1b[2J\x1b]0;owned\x07\x9b2J\x00\nrail [/red]"
 SCENARIO = """
 title = "wet\\u001b[2J\\u001b]0;owned\\u0007\\u009b2J\\u0000\\nrail [/red]"
-duration_s = 0.3
+duration_s = 0.8
 drives = 1
 [[expect]]
 flag = "adhesion"

@@ -10,6 +10,7 @@ from dbc.frame import SECOND
 from dbc.logs.opening import open_reader
 from dbc.logs.proposals import proposed
 from dbc.tolerant import read_any_dbc
+from gateway.cli import main
 
 ASC = "date Mon Mar 4 10:31:20.000 am 2024\nbase hex  timestamps absolute\n"
 TRC = ";$FILEVERSION={}\n;$STARTTIME=43000.0\n"
@@ -246,3 +247,22 @@ def test_many_values_of_relations_that_nobody_defines_cost_themselves(tmp_path):
     assert len(notes) == len(bad)
     assert all("BA_DEF_REL_" in note for note in notes)
     assert spec.cycle_ns == 20_000_000
+
+
+def test_a_table_that_is_no_log_is_told_apart_in_full(tmp_path, capsys):
+    path = tmp_path / "gray.csv"
+    path.write_text("a,b,c\n1,2,3\n")
+    assert main(["replay", str(path)]) == 2
+    assert capsys.readouterr().err == (
+        f"traction-gateway: {path}: cannot be read: not one of its 2 lines is a frame; line 1: "
+        "malformed: no header names columns for time, identifier and data (docs/files.md): a,b,c\n"
+    )
+
+
+def test_mf4_without_its_library(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "a.mf4"
+    path.write_bytes(b"MDF     4.10")
+    monkeypatch.setattr("dbc.logs.mf4.mf4_module", lambda: None)
+    assert main(["replay", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert f"{path}: cannot be read: needs asammdf: pip install 'asammdf>=" in error

@@ -9,7 +9,7 @@ from dbc.frame import MS, Nanos
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
 from gateway.reports import known
-from gateway.reports.expectations import WORDS, FlagTrack
+from gateway.reports.expectations import UNPROVEN, WORDS, FlagTrack, proves
 from gateway.reports.scoring import first
 
 if TYPE_CHECKING:
@@ -59,7 +59,10 @@ class GatewayFlags:
         return (at - began) / MS
 
     def expect_never(self, flag: str, state: str, *, drive: int = 0, for_ms: float) -> None:
-        """Expect a flag not to be in a state for a time, in which flag frames must be received."""
+        """Expect a flag not to be in a state for a time, in which it must be received and known.
+
+        A flag that is not to be good may be unknown in that time, if it is known at another.
+        """
         __tracebackhide__ = True
         bench, began = self._bench, self._bench.now_ns
         wanted = WORDS[state]
@@ -75,10 +78,13 @@ class GatewayFlags:
                 f"{flag}{who} was expected never to be {state} for {for_ms:g} ms; it was after "
                 f"{at:g} ms\n" + self.show(began)
             )
-        if len(self._seen(flag, drive)) == count:
+        seen = self._seen(flag, drive)
+        if len(seen) == count:
             raise AssertionError(
                 f"{flag}{who}: no flag frame for {for_ms:g} ms\n{self.show(began)}"
             )
+        if not proves(wanted, (state for _, state in seen[count:]), seen):
+            raise AssertionError(f"{flag}{who}: {UNPROVEN}\n{self.show(began)}")
 
     def expect_lost(self, *, drive: int, within_ms: float) -> float:
         """Expect `AdhesionLost` within a time from now; return the time taken, ms."""
