@@ -75,6 +75,32 @@ def test_from_exactly_the_least_current_on_nothing_is_known_of_the_others(known)
         assert monitor.currents["square"][-1] == 0.0
 
 
+@pytest.mark.parametrize("alone", [False, True], ids=["one idle", "one driven"])
+@pytest.mark.parametrize("which", range(MOTORS))
+def test_twenty_samples_without_current_cut_out_any_motor(known, which, alone):
+    monitor = ThermalMonitor(known, 1.0)
+    idles = (np.arange(MOTORS) == which) != alone
+    square = np.where(idles, 0.0, 4e4)
+    monitor.currents["square"] = 4e4
+    for n in range(1, 25):
+        monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+        assert monitor.currents["cut_out"].tolist() == (idles & (n >= 20)).tolist()
+    assert monitor.currents["square"][~idles] == pytest.approx(4e4), "the mean of what is equal"
+
+
+def test_idle_samples_count_only_beside_a_motor_of_the_train_that_is_driven(known):
+    monitor, square = ThermalMonitor(known, 1.0), np.zeros(MOTORS)
+    monitor.record["motor_count"] = MOTORS - 1
+    square[0], square[-1] = monitor.config["cut_out"]["driven_square"].item(), 4e4
+    for _ in range(30):
+        monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+    assert not monitor.currents["idle"].any()
+    square[0], square[-1] = 4e4, 0.0
+    for _ in range(30):
+        monitor.add_sample(np.full((MOTORS, 3), 40.0), square, square * 0.0, square * 0.0)
+    assert (monitor.currents["idle"] > 0).tolist() == [0 < m < MOTORS - 1 for m in range(MOTORS)]
+
+
 def test_of_many_that_are_cut_out_none_is_judged(known):
     """Not even where they are the most."""
     monitor, square = ThermalMonitor(known, 1.0), np.zeros(MOTORS)
