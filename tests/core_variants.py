@@ -58,6 +58,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_thermal_trend.py",
        "tests/unit/test_temperature_monitor.py", "tests/unit/test_temperature_reader.py",
        "tests/unit/test_thermal.py", "tests/unit/test_bad_from_power_up.py",
+       "tests/unit/test_heatside.py::test_a_sensor_that_crept_and_is_mended_has_no_offset",
        "tests/unit/test_maisd_spikes.py",
        "tests/unit/test_dbc_candump.py", "tests/property/test_dbc_candump_property.py",
        "tests/unit/test_text_read.py", "tests/unit/test_one_signal.py",

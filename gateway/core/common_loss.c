@@ -43,7 +43,7 @@ static void add_drive(const struct adhesion *a, int k, struct sums *sums)
 {
     const struct command_response *r = &a->responses[k];
     sums->each = smaller(a->loads[k].p_response, sums->each);
-    if (a->rotors[k].odd_s > 0.0 || isnan(r->missing))
+    if (a->rotors[k].odd_s > 0.0)
         return; /* an odd command is no evidence */
     ranking_add(&sums->missing, r->missing);
     sums->command += fabs(r->command);

@@ -291,9 +291,8 @@ static void compare_speeds(struct train_tick *t, int first)
 /* Forget how a wheel has come back from a slide: that is no acceleration of its train. */
 static void forget_slide(struct rotor *r)
 {
-    if (isnan(r->speed) || isnan(r->slow_speed))
-        return;
-    r->slow_speed = r->quick_speed = copysign(r->speed * r->diameter, r->slow_speed);
+    const double sign = r->slow_speed < 0.0 ? -1.0 : 1.0;
+    r->slow_speed = r->quick_speed = sign * fabs(r->speed) * r->diameter;
 }
 
 /* Find rotors that are too far from the others to adhere. */

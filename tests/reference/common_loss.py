@@ -32,10 +32,7 @@ class CommonLoss:
         each = min((alone[k] for k in counts), default=0.0)
         each = each if 0.5 <= each <= 1.0 else 0.0
         odd = a.rotors["odd_s"] > 0.0
-        mine = [
-            a.responses[k] for k in counts
-            if not odd[k] and not math.isnan(a.responses[k]["missing"])
-        ]  # fmt: skip
+        mine = [a.responses[k] for k in counts if not odd[k]]
         mean = self._mean(mine, a.tick_s)
         self.since_s = self.since_s + a.tick_s if mean > STANDS else 0.0
         oldest = max((float(r["command_age_s"]) for r in mine), default=0.0)

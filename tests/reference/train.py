@@ -275,9 +275,8 @@ def _runs_away(k: int, effort: float, train: Train) -> bool:
 
 def _forget_slide(k: int, train: Train) -> None:
     """How wheel k has come back from a slide is no acceleration of its train."""
-    speed, slow = abs(train.speed[k] * train.diameter[k]), train.slow_speed[k]
-    if not (math.isnan(speed) or math.isnan(slow)):
-        train.slow_speed[k] = train.quick_speed[k] = math.copysign(speed, slow)
+    speed = abs(train.speed[k] * train.diameter[k])
+    train.slow_speed[k] = train.quick_speed[k] = -speed if train.slow_speed[k] < 0.0 else speed
 
 
 def _speed_of_others(k: int, braking: bool, train: Train) -> float:

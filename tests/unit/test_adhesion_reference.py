@@ -42,12 +42,13 @@ def train_that_drives(rng, n, ticks):
                 command = np.full(n, rng.choice([20.0, 15.0, 0.5, -12.0, 2.5]))
                 command *= rng.choice([1.0, 1.0, 0.5], n)
         if rng.random() < 0.03:
-            share = rng.choice([np.ones(n), np.full(n, 0.1), lost])
+            share = rng.choice([np.ones(n), np.full(n, 0.1), np.full(n, 0.78), lost])
         health = np.where(rng.random(n) < 0.02, Health.CONVERGING, Health.TRACKING)
-        load = command * share + rng.normal(0.0, 0.1, n)
+        load = command * share + rng.normal(0.0, rng.choice([0.1, 1.5]), n)
         speed = 25.0 + rng.normal(0.0, 0.1, n)
         speed[rng.random(n) < 0.01] = math.nan
-        sent = (tick - tick % 10) * TICK, rng.random(n) < 0.9
+        stamp = tick if tick % 300 > 200 else tick - tick % 10
+        sent = stamp * TICK, rng.random(n) < 0.9
         told = command.copy()
         if tick % 100 > 60:
             # One that reads far more than its drive carries.
