@@ -4,8 +4,8 @@
  * seconds (medians, to suppress noise and bursts), less those of the other motors (peers.c), and
  * passed to the filters (imm.c). Bursts of loose connectors are separated before.
  *
- * Nothing here can fail: counts of samples that divide are at least 1, probabilities are kept
- * between 0 and SUREST, and windows are limited to THERMAL_BLOCK_MAX. */
+ * Longer than other files: all steps of a block, in their order. Nothing can fail: counts that divide
+ * are at least 1, probabilities lie between 0 and SUREST, windows within THERMAL_BLOCK_MAX. */
 #include "estimators/thermal/monitor.h"
 
 #include <math.h>
