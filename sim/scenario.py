@@ -260,7 +260,7 @@ class Scenario(Strict):
         return self
 
     def _late(self) -> Iterator[str]:
-        """Events and expectations that begin or end after the scenario."""
+        """Events and expectations that begin after the scenario."""
         last_s = self.duration_s - TICK_S + 1e-9
         begins = [(f"event[{k}].at_s", e.at_s) for k, e in enumerate(self.event)]
         begins += [(f"expect[{k}].after_s", e.after_s) for k, e in enumerate(self.expect)]
@@ -268,11 +268,6 @@ class Scenario(Strict):
             if at > last_s:
                 why = f"is not a tick ({TICK_S:g} s) before the end at {self.duration_s:g} s"
                 yield f"{where}: {at:g} s {why}: it would have no effect"
-        for k, event in enumerate(self.event):
-            if event.for_s is not None and event.end_s > self.duration_s + 1e-9:
-                end = f"the scenario ends at {self.duration_s:g} s"
-                cure = "leave for_s out for an event that lasts to the end"
-                yield f"event[{k}].for_s: until {event.end_s:g} s, but {end}: {cure}"
 
     def _vacuous(self) -> Iterator[tuple[int, str]]:
         """Expectations that would check nothing, or less than they state: index and reason."""

@@ -61,11 +61,6 @@ def refused(tmp_path, capsys):
             "line 6: event[0].value: 0 has no effect",
         ),
         (
-            LOSS + "depth = 1.0\nfor_s = 1.5\n" + BAD,
-            "line 7: event[0].for_s: until 3.5 s, but the scenario ends at 3 s: leave for_s "
-            "out for an event that lasts to the end",
-        ),
-        (
             SILENT + "at_s = 2.995\n" + BAD,
             "line 5: event[0].at_s: 2.995 s is not a tick (0.01 s) before the end at 3 s: it "
             "would have no effect",
