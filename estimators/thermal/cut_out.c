@@ -35,10 +35,10 @@ static void count_idle(const struct cut_out_config *config, const struct thermal
     if (!(largest > config->driven_square))
         return;
     for (int m = 0; m < motors; m++) {
-        const double square = square_of(config, &input[m]);
-        if (square < config->share * largest)
+        const double sample = square_of(config, &input[m]);
+        if (sample < config->share * largest)
             current[m].idle += current[m].idle < IDLE_SAMPLES;
-        else if (isfinite(square))
+        else if (isfinite(sample))
             current[m].idle = 0;
     }
 }
