@@ -84,7 +84,7 @@ HOSTILE = ("tests/unit/test_receive_reference.py", "tests/unit/test_left_out_sam
 """Of them those that give the core any numbers, and whole logs: for the sanitizers in CI. All tests
 run under them in `make test-all`."""
 UNFIT = (
-    "tests/mutation", "tests/web",
+    "tests/mutation", "tests/web", "tests/unit/test_ablation.py",
     "tests/unit/test_help_examples.py::test_they_run",
     "tests/unit/test_drivers_scheduling.py::"
     "test_what_was_given_from_outside_is_used_and_not_asked_for",
