@@ -84,7 +84,6 @@ static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
         in->previous_command_nm = drives[k].previous_command;
         in->operating = drives[k].operating;
         in->adhesion = status[k].flag[FLAG_ADHESION].state;
-        in->by_observer = estimates[k].by_observer;
         in->not_judged = 0;
     }
     assess_train(a->rotors, a->rotor_inputs, a->n, now_ns, a->tick_s, a->workspace);

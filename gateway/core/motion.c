@@ -8,7 +8,7 @@
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
  * comparison with NaN is false, and each condition is written so that false is the safe answer. The
- * divisors are the cycle of Motion, at least 1 ns, and times above SMOOTH_NS. Stamps are between 0
+ * divisors are the cycle of Motion, at least 1 ns, and a time above SMOOTH_NS. Stamps are between 0
  * and now, so that their difference and the quotient fit. The root is that of a variance. */
 #include "gateway/core/motion.h"
 
@@ -30,8 +30,7 @@
 #define SPEED_TOLERANCE_RAD_S 5.0
 static const int64_t DISAGREE_TICKS = 5; /* consecutive, before the input is implausible */
 static const int64_t MAX_MISSING = 5; /* cycles without a reading before the observer starts anew */
-static const int64_t SMOOTH_NS = SECOND_NS / 10;    /* time constant of `smooth_speed` */
-static const int64_t DIFFERENCE_NS = SECOND_NS / 3; /* time constant of `difference_nm` */
+static const int64_t SMOOTH_NS = SECOND_NS / 10; /* time constant of `smooth_speed` */
 /* A filter finds a rotor that turns within this time. If not, the currents and voltages are not
  * what they seem: an open phase, another motor. */
 static const int64_t LOCK_NS = SECOND_NS;
@@ -133,31 +132,14 @@ static void estimate_by_observer(const struct motion *own, const struct input_st
     }
 }
 
-/* Follow the mean difference between the loads of filter and observer, while both are known. can:
- * the observer is. A filter with too few samples is no measure: the last difference stays. */
-static void follow_difference(const struct motion_monitor *m, struct motion *own, int can,
-                              const struct drive_estimate *filter)
-{
-    if (own->aliasing)
-        return;
-    const int both = can && filter->health == HEALTH_TRACKING;
-    const double now_nm = both ? filter->load_nm - own->observer.T_L : NAN;
-    const double mean_nm = known_or(own->difference_nm, now_nm);
-    const double weight = (double)m->tick_ns / (double)(m->tick_ns + DIFFERENCE_NS);
-    own->difference_nm = mean_nm + weight * (now_nm - mean_nm);
-}
-
-/* Avoid a bump when the source changes: the difference between the two fades. It is the mean one,
- * because the noise of the tick in which the source changes would fade as slowly. */
+/* Avoid a bump when the source changes: the difference between the two fades. */
 static void fade(const struct motion_monitor *m, struct motion *own, int by_observer,
                  struct drive_estimate *estimate)
 {
     if (isnan(own->load_nm))
         own->offset_nm = 0.0;
-    else if (by_observer != own->by_observer && isnan(own->difference_nm))
-        own->offset_nm = own->load_nm - estimate->load_nm;
     else if (by_observer != own->by_observer)
-        own->offset_nm += by_observer ? own->difference_nm : -own->difference_nm;
+        own->offset_nm = own->load_nm - estimate->load_nm;
     own->by_observer = (uint8_t)by_observer;
     own->offset_nm *= fabs(own->offset_nm) > FADED_NM ? m->fade : 0.0;
     own->load_nm = estimate->load_nm + own->offset_nm;
@@ -178,7 +160,6 @@ static void select_source(const struct motion_monitor *m, int64_t k, int needed)
     const int by_observer = own->aliasing || (needed && can);
     estimate->by_observer = by_observer && !invalid;
     estimate->crawls = by_observer && own->crawls && !invalid;
-    follow_difference(m, own, can, estimate);
     if (by_observer && !invalid)
         estimate_by_observer(own, in, estimate);
     if (!invalid && estimate->health == HEALTH_TRACKING && !isnan(estimate->load_nm))

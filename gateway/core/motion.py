@@ -121,7 +121,7 @@ def _motions(motors: Sequence[Motor], config: Estimator, speed_step: float) -> R
         config.process_noise[4] * (m.T_rated / 30.0) ** 2 / SUB_STEP_S for m in motors
     ]
     made["pole_pairs"] = [m.pole_pairs for m in motors]
-    made["load_nm"] = made["difference_nm"] = made["smooth_speed"] = np.nan
+    made["load_nm"] = made["smooth_speed"] = np.nan
     return made
 
 

@@ -827,8 +827,7 @@ struct rotor_inputs {
     uint8_t adhesion;           /* enum flag_state: adhesion flag of the last tick */
     uint8_t operating;          /* 1: the drive is in operation */
     uint8_t command_valid;      /* 1: the command is known; cleared if it cannot be right */
-    uint8_t by_observer; /* 1: the estimate is that of the load observer, not of the filter */
-    uint8_t not_judged;  /* output, 1: the estimate of the drive is not used */
+    uint8_t not_judged;         /* output, 1: the estimate of the drive is not used */
 };
 
 /* One temperature sensor; the first three are constants. Stamps: INT64_MIN before the first. */
@@ -1452,7 +1451,6 @@ struct motion {
     struct load_observer observer; /* state after the last reading */
     double load_nm;                /* load used in the tick before, Nm; NaN: none */
     double offset_nm;       /* remainder of the difference when the source last changed, Nm */
-    double difference_nm;   /* mean load of the filter minus that of the observer, Nm; NaN: none */
     double smooth_speed;    /* speed of the filter without its noise, rad/s; NaN: none */
     int64_t reading_ns;     /* stamp of the last reading */
     int64_t readings;       /* number of readings since the observer started */

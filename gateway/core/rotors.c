@@ -35,10 +35,9 @@
 #define SPEEDS_APART       0.05
 #define SPEEDS_APART_RAD_S 1.0
 #define TURNS_RAD_S        1.0 /* from this speed on, its sign is no noise */
-/* An estimate of the filter that has been followed for a shorter time may still converge from a
- * wrong start, also while the train crawls and the load observer is in use: if it differs by more
- * than LEARN_CREEP, the measured speed is used instead. */
-#define FOLLOWED_S 1.0
+/* An estimate that has been followed for a shorter time may still converge from a wrong start: if
+ * it differs by more than LEARN_CREEP, the measured speed is used instead. */
+#define FOLLOWED_S 0.2
 #define MOST_CREEP                                                                                 \
     0.08 /* limit for a rotor against the others, which creep by a percent or two themselves */
 #define MOST_APART 0.1 /* the same, diameters included, while its diameter is not known */
@@ -75,7 +74,7 @@ static int note_rotor(const struct train_tick *t, struct rotor *r, const struct 
         r->followed_s = 0.0;
         return 0;
     }
-    r->followed_s = in->by_observer ? 0.0 : r->followed_s + t->tick_s;
+    r->followed_s += t->tick_s;
     r->speed = tracked_speed(r, in, t->now_ns);
     if (fabs(in->speed_rad_s) >= TURNS_RAD_S)
         r->forward = in->speed_rad_s < 0.0 ? -1 : 1;
@@ -288,13 +287,6 @@ static void compare_speeds(struct train_tick *t, int first)
     }
 }
 
-/* Forget how a wheel has come back from a slide: that is no acceleration of its train. */
-static void forget_slide(struct rotor *r)
-{
-    const double sign = r->slow_speed < 0.0 ? -1.0 : 1.0;
-    r->slow_speed = r->quick_speed = sign * fabs(r->speed) * r->diameter;
-}
-
 /* Find rotors that are too far from the others to adhere. */
 static void find_apart(struct train_tick *t, int first)
 {
@@ -321,10 +313,7 @@ static void find_apart(struct train_tick *t, int first)
                                        : is_off_train(t, r) || slip_of(t, r) > MOST_CREEP;
         const int beyond = off && !left;
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
-        const int back = r->apart && r->near_s >= NEAR_S;
-        r->apart = r->near_s == 0.0 || (r->apart && !back);
-        if (back)
-            forget_slide(r);
+        r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);
         r->uncertain = r->uncertain || beyond;
     }
 }

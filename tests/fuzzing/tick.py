@@ -60,7 +60,7 @@ STATE: dict[str, str] = {
     "inputs.status": "",
     "motion.motions": (
         "observer load_nm offset_nm reading_ns readings unlocked_ns disagree_ticks started aliasing"
-        " crawls by_observer implausible smooth_speed difference_nm"
+        " crawls by_observer implausible smooth_speed"
     ),
     "motion.checks": (
         "current samples repeats block_repeats repeated_s base deviation learnt angle_ns"

@@ -129,7 +129,6 @@ class Adhesion:
         one["health"], one["command_nm"] = told.health, slow.command
         one["previous_command_nm"], one["operating"] = slow.before, slow.operating
         one["command_valid"], one["adhesion"], one["not_judged"] = commanded, flag, 0
-        one["by_observer"] = told.estimates["by_observer"]
         lib.assess_train(
             pointer("struct rotor", self.rotors), pointer("struct rotor_inputs", one), self.n, now,
             self.tick_s, pointer("double", np.zeros(2 * self.n)),

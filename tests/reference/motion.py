@@ -36,7 +36,7 @@ Flags = NDArray[np.bool_]
 _UNKNOWN, _CONVERGING, _TRACKING, _PREDICTING, _DIVERGED, _INPUT_INVALID = range(6)  # Health
 _STARTING, _NOT_AVAILABLE = 1, 6  # Reason
 _SECOND = 1_000_000_000
-MEAN_NS, BETWEEN_NS = 100_000_000, 333_333_333
+MEAN_NS = 100_000_000
 
 
 class Memory(NamedTuple):
@@ -47,8 +47,7 @@ class Memory(NamedTuple):
     slowly for its flux to be seen; away: its wheel has run away or locked (given); mean: the speed
     of the filter over the last tenth of a second; load: what
     was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
-    the difference where that changed; between: filter's load minus the observer's over the last
-    third of a second; apart: ticks in a row that the two speeds have been;
+    the difference where that changed; apart: ticks in a row that the two speeds have been;
     unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its input
     cannot be what it seems.
     """
@@ -67,7 +66,6 @@ class Memory(NamedTuple):
     crawls: Flags
     away: Flags
     mean: Array
-    between: Array
 
 
 class Limits(NamedTuple):
@@ -98,7 +96,7 @@ def memory(n: int) -> Memory:
     return Memory(
         np.zeros((n, len(LoadState._fields))), flags[0], zeros[0], zeros[1], flags[1],
         np.full(n, np.nan), flags[2], np.zeros(n), zeros[2], zeros[3], flags[3], flags[4],
-        flags[5], np.full(n, np.nan), np.full(n, np.nan),
+        flags[5], np.full(n, np.nan),
     )  # fmt: skip
 
 
@@ -180,12 +178,7 @@ def _fade(k: int, observed: bool, told: Told, memory: Memory, limits: Limits) ->
     if math.isnan(memory.load[k]):
         memory.offset[k] = 0.0
     elif observed != memory.observed[k]:
-        between = memory.between[k]
-        if math.isnan(between):
-            memory.offset[k] = memory.load[k] - load
-        else:
-            # Noise of the one tick would fade as slowly as a real difference.
-            memory.offset[k] += between if observed else -between
+        memory.offset[k] = memory.load[k] - load
     memory.observed[k] = observed
     memory.offset[k] *= limits.fade if abs(memory.offset[k]) > limits.faded_nm else 0.0
     memory.load[k] = load + memory.offset[k]
@@ -206,11 +199,6 @@ def _merge(
     observed = memory.beyond[k] or (any_beyond and ready)
     told.estimates["by_observer"][k] = observed and not invalid
     told.estimates["crawls"][k] = observed and memory.crawls[k] and not invalid
-    if not memory.beyond[k]:
-        both = ready and told.health[k] == _TRACKING
-        apart = told.load[k] - _kept(k, memory).T_L if both else math.nan
-        before, share = memory.between[k], limits.tick_ns / (limits.tick_ns + BETWEEN_NS)
-        memory.between[k] = apart if math.isnan(before) else before + share * (apart - before)
     if observed and not invalid:
         _by_observer(k, fresh, told, memory, limits)
         # It goes on with `Motion` alone, but nothing shows any more that this is plausible.

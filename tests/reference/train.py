@@ -38,9 +38,9 @@ SPEEDS_APART_RAD_S: Final = 1.0
 others; `Motion` is up to 10 ms old."""
 TURNS_RAD_S: Final = 1.0
 """From this speed on, its sign is no noise."""
-FOLLOWED_S: Final = 1.0
+FOLLOWED_S: Final = 0.2
 """A speed by the currents that has been followed for less may be on its way from a guess: beyond
-`LEARN_CREEP` from it, `Motion` goes before it. Not followed while the observer is used."""
+`LEARN_CREEP` from it, `Motion` goes before it."""
 MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
 MOST_APART: Final = 0.1
@@ -179,8 +179,7 @@ def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) ->
     for k in range(measured.shape[0]):
         tracking, speed = told.health[k] == Health.TRACKING, measured[k]
         train.load[k] = math.nan
-        observed = told.estimates["by_observer"][k]
-        train.followed_s[k] = train.followed_s[k] + tick_s if tracking and not observed else 0.0
+        train.followed_s[k] = train.followed_s[k] + tick_s if tracking else 0.0
         if tracking:
             # Where the two speeds differ, neither is a measure for others.
             off = abs(speed - told.speed[k])
@@ -273,12 +272,6 @@ def _runs_away(k: int, effort: float, train: Train) -> bool:
     return bool(slip > MOST_CREEP and effort * _own_change(k, train) > LEARN_CREEP)
 
 
-def _forget_slide(k: int, train: Train) -> None:
-    """How wheel k has come back from a slide is no acceleration of its train."""
-    speed = abs(train.speed[k] * train.diameter[k])
-    train.slow_speed[k] = train.quick_speed[k] = -speed if train.slow_speed[k] < 0.0 else speed
-
-
 def _speed_of_others(k: int, braking: bool, train: Train) -> float:
     """Median speed of the others that are followed, else of all; NaN without any."""
     others = _others(k, True, braking, train)
@@ -358,10 +351,7 @@ def _compare_speeds(
         far = far or _slip(k, -1.0 if braking else 1.0, train) > MOST_CREEP
         beyond = (abs(train.creep[k]) > MOST_CREEP if math.isnan(slip) else far) and not stays
         train.near_s[k] = 0.0 if beyond else train.near_s[k] + tick_s
-        back = train.apart[k] and train.near_s[k] >= NEAR_S
-        train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and not back)
-        if back:
-            _forget_slide(k, train)
+        train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < NEAR_S)
         train.uncertain[k] = train.uncertain[k] or beyond
     _learn_diameters(tick_s, flag, operating, train)
 

@@ -16,7 +16,6 @@ from gateway.core.codes import NEVER, Flag, Health
 from gateway.core.flags import FlagKind, Timing
 from gateway.settings.config import BENCH_MOTOR
 from gateway.settings.sections import Adhesion
-from sim.physics.plant import MOTORS
 from tests import columns
 from tests.judged_loads import detect
 from tests.reference import adhesion as reference
@@ -314,26 +313,6 @@ def test_who_carries_what_nobody_asked_for_or_slows_down_does_not_only_roll(load
     )  # fmt: skip
     *_, (opinion, _) = both.run(given)
     assert (opinion.known == known).all()
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_how_a_wheel_came_back_from_a_slide_slows_no_train(way):
-    """A drive alone that slid at 1.8 times its speed: it is judged by its own command again."""
-    both, one = Both([MOTORS["traction_350kw"]], detector="switching"), np.ones(1)
-    command, health, known = 0.96 * 796.0 * one, one * Health.TRACKING, one == 1.0
-    speed = np.concatenate([
-        np.full(200, 45.0), np.linspace(45.0, 81.0, 30), np.full(30, 81.0),
-        np.linspace(81.0, 45.0, 20), np.full(100, 45.0),
-    ])  # fmt: skip
-    share = np.repeat([1.0, 0.3, 3.5, 0.93], [200, 60, 20, 100])
-    given = (
-        (health, part * command, way * now * one, command, command,
-         ((tick - tick % 10) * TICK, True), known, 1.0)
-        for tick, (now, part) in enumerate(zip(speed, share, strict=True))
-    )  # fmt: skip
-    lost = [opinion.lost.item() for opinion, _ in both.run(given)]
-    assert lost[255] > 0.99
-    assert max(lost[300:]) < 0.2
 
 
 @pytest.mark.parametrize("detector", ["vb", "switching"])

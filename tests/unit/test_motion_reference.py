@@ -36,7 +36,6 @@ MOTION = {
     "crawls": "crawls",
     "load_nm": "load", "by_observer": "observed", "offset_nm": "offset", "disagree_ticks": "apart",
     "unlocked_ns": "unlocked_ns", "implausible": "wrong", "smooth_speed": "mean",
-    "difference_nm": "between",
 }  # fmt: skip
 """The same of `struct motion`."""
 FAULTS = (

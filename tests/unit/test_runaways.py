@@ -171,16 +171,3 @@ def test_a_train_that_starts_is_judged_by_its_motion(nm):
     assert (flags[50:200, 1] == Flag.GOOD).all()
     assert (flags[210:300, 1] == Flag.BAD).all()
     assert (flags[320:, 1] == Flag.GOOD).all()
-
-
-@pytest.mark.parametrize("seed", [1, 3, 5])
-@pytest.mark.parametrize("last", [60.0, 150.0])
-def test_a_train_with_noisy_currents_is_known_while_it_speeds_up_from_a_crawl(last, seed):
-    """Loads and speeds come from `Motion` at first, then from filters that still converge."""
-    run = scenario(
-        seed=seed, duration_s=4.0, load={"torque_nm": 18.0}, sensors={"current_noise_var": 0.02},
-        motion={"start": "rolling", "profile": [(0.0, 10.0), (1.0, 10.0), (3.0, last)]},
-    )  # fmt: skip
-    flags, _ = flags_and_speeds(run, codec())
-    assert not (flags == Flag.BAD).any()
-    assert (flags[50:] == Flag.GOOD).mean() > 0.995

@@ -44,7 +44,7 @@ def assess_train(measured, commanded, slow, flag, now, told, rotors, tick_s=TICK
     one["measured_rad_s"], one["speed_rad_s"], one["load_nm"] = measured, told.speed, told.load
     one["health"], one["operating"], one["adhesion"] = told.health, slow.operating, flag
     one["command_nm"], one["previous_command_nm"] = slow.command, slow.before
-    one["command_valid"], one["by_observer"] = commanded, told.estimates["by_observer"]
+    one["command_valid"] = commanded
     lib.assess_train(
         pointer("struct rotor", rotors), pointer("struct rotor_inputs", one), n, now, tick_s,
         pointer("double", np.zeros(2 * n)),
@@ -77,7 +77,7 @@ def drawn(rng, n, level):
         health=rng.choice(HEALTH, n), measured=rng.random(n) < 0.8,
         commanded=rng.random(n) < 0.9, operating=rng.random(n) < 0.9,
         flag=rng.choice([Flag.GOOD, Flag.GOOD, Flag.GOOD, Flag.BAD, Flag.UNKNOWN], n),
-        off=rng.choice([0.0, 0.0, 0.0, 0.0, 0.04, 0.4], n), observed=rng.random() < 0.2,
+        off=rng.choice([0.0, 0.0, 0.0, 0.0, 0.04, 0.4], n),
         ticks=int(rng.choice([1, 5, 20, 60, 350])),
     )  # fmt: skip
 
@@ -104,7 +104,6 @@ def course(seed, n, ticks, step):
         told.speed[:] = true * (1.0 + now.off) + rng.normal(0.0, 0.02, n)
         told.load[:] = now.command * now.share + rng.normal(0.0, 0.3, n)
         told.sigma[:], told.nis[:] = 0.5, 1.0
-        told.estimates["by_observer"] = now.observed
         sent.command[:], sent.before[:] = now.command, now.command * now.before
         sent.before[rng.random(n) < 0.02] = np.nan
         sent.operating[:] = now.operating
