@@ -55,17 +55,18 @@ def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Sour
         stack.callback(opened.close)
         # Port 0 lets the system choose.
         ports = {where: made.getsockname()[1] for where, made in sockets.items()}
-        for what, where in wanted.items():
-            shown = where._replace(port=ports[where])
-            path = "metrics" if what == "metrics" else ""
-            print(f"{what}: http://{shown}/{path}", file=sys.stderr, flush=True)
         names = [socket.gethostname(), *(where.host for where in wanted.values())]
         page = "web" in wanted
         alone = [ports[w] for what, w in wanted.items() if what == "metrics" and page]
         if page and len(ports) == 1:
             alone = []
-        # The server shuts down in good order, and then raises the signal once more.
+        # Once an address is announced, a signal is the normal end. The server shuts down in good
+        # order, and then raises the signal once more.
         with suppress(KeyboardInterrupt):
+            for what, where in wanted.items():
+                shown = where._replace(port=ports[where])
+                path = "metrics" if what == "metrics" else ""
+                print(f"{what}: http://{shown}/{path}", file=sys.stderr, flush=True)
             serve(
                 Feed(opened, waits=page), Access(token, names if token else ()),
                 list(sockets.values()), page=page, metrics_only=alone,
