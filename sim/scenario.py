@@ -260,9 +260,12 @@ class Scenario(Strict):
         return self
 
     def _late(self) -> Iterator[str]:
-        """Events and expectations that begin after the scenario."""
+        """Events, changes of the load and expectations that begin after the scenario."""
         last_s = self.duration_s - TICK_S + 1e-9
         begins = [(f"event[{k}].at_s", e.at_s) for k, e in enumerate(self.event)]
+        begins += [(f"load.disturbance[{k}].at_s", d.at_s)
+                   for k, d in enumerate(self.load.disturbance)]  # fmt: skip
+        begins += [(f"load.curve[{k}].at_s", c.at_s) for k, c in enumerate(self.load.curve)]
         begins += [(f"expect[{k}].after_s", e.after_s) for k, e in enumerate(self.expect)]
         for where, at in begins:
             if at > last_s:

@@ -65,6 +65,17 @@ def refused(tmp_path, capsys):
             "line 5: event[0].at_s: 2.995 s is not a tick (0.01 s) before the end at 3 s: it "
             "would have no effect",
         ),
+        (
+            "[[load.curve]]\ndrive = 1\nat_s = 3.5\nfor_s = 1\namount = 0.1\n" + BAD,
+            "line 5: load.curve[0].at_s: 3.5 s is not a tick (0.01 s) before the end at 3 s: it "
+            "would have no effect",
+        ),
+        (
+            '[load]\nkind = "preset"\n[[load.disturbance]]\ndrive = 1\nat_s = 3\nfor_s = 1\n'
+            "amplitude_nm = 1\n" + BAD,
+            "line 7: load.disturbance[0].at_s: 3 s is not a tick (0.01 s) before the end at 3 s: "
+            "it would have no effect",
+        ),
         # Values of another type or size.
         (
             'motor = "nosuch"\n' + BAD,
