@@ -1,8 +1,7 @@
 /* Measured speed and torque of the drives: load by an observer, and a check of the estimates.
  *
  * The filters need about ten samples of current per electrical revolution. With fewer, the load
- * comes from the observer, without a bump; without a fresh Motion it is then unknown. It also comes
- * from there at a speed so low that the flux is not seen, if there is a Motion. With enough
+ * comes from the observer; without a fresh Motion it is then unknown. It also comes from there at a speed so low that the flux is not seen, if there is a Motion. With enough
  * samples, the measured speed shows what currents alone cannot: swapped phases, an aliased speed, a
  * wrong sign, and a rotor that turns although the filter does not find it.
  *
@@ -23,7 +22,6 @@
 
 #define SECOND_NS  1000000000LL
 #define HYSTERESIS 0.05 /* share of `max_w_e` */
-#define FADED_NM   1e-3 /* a smaller offset counts as none */
 /* Measured and estimated speed disagree beyond this share and this speed: the flux may be off by a
  * tenth, and Motion is up to 10 ms old during a slip. */
 #define SPEED_TOLERANCE       0.15
@@ -132,27 +130,13 @@ static void estimate_by_observer(const struct motion *own, const struct input_st
     }
 }
 
-/* Avoid a bump when the source changes: the difference between the two fades. */
-static void fade(const struct motion_monitor *m, struct motion *own, int by_observer,
-                 struct drive_estimate *estimate)
-{
-    if (isnan(own->load_nm))
-        own->offset_nm = 0.0;
-    else if (by_observer != own->by_observer)
-        own->offset_nm = own->load_nm - estimate->load_nm;
-    own->by_observer = (uint8_t)by_observer;
-    own->offset_nm *= fabs(own->offset_nm) > FADED_NM ? m->fade : 0.0;
-    own->load_nm = estimate->load_nm + own->offset_nm;
-    estimate->load_nm = own->load_nm;
-}
-
 /* Select the estimate to use for a drive; that of a drive with invalid input is not changed.
  *
  * Drives are compared, and filter and observer follow a load step at different speeds: if one
  * drive needs the observer, all drives that can use it do. */
 static void select_source(const struct motion_monitor *m, int64_t k, int needed)
 {
-    struct motion *own = &m->motions[k];
+    const struct motion *own = &m->motions[k];
     const struct input_status *in = &m->inputs[k];
     struct drive_estimate *estimate = &m->estimates[k];
     const int invalid = estimate->health == HEALTH_INPUT_INVALID;
@@ -162,10 +146,6 @@ static void select_source(const struct motion_monitor *m, int64_t k, int needed)
     estimate->crawls = by_observer && own->crawls && !invalid;
     if (by_observer && !invalid)
         estimate_by_observer(own, in, estimate);
-    if (!invalid && estimate->health == HEALTH_TRACKING && !isnan(estimate->load_nm))
-        fade(m, own, by_observer, estimate);
-    else
-        own->load_nm = NAN;
 }
 
 /* 1 if drive k bears witness that its train does not crawl: a wheel that has run away or locked, and

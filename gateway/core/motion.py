@@ -27,8 +27,6 @@ from gateway.settings.sections import Estimator
 
 FEWEST_SAMPLES: Final = 10.0
 """Current samples per electrical revolution: about the fewest that the filters need."""
-FADE_S: Final = 0.5
-"""Time constant with which the difference between two sources fades."""
 SPEED_FLOOR_VAR: Final = 1e-8
 """(rad/s)^2: a DBC may carry speed as a float."""
 SUB_STEP_S: Final = 125e-6
@@ -88,9 +86,8 @@ class MotionMonitor(Addressed):
             "max_w_e": 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s),
             "turning_w_e": TURNS * config.min_speed_rad_s,
             "crawl_w_e": CRAWLS * config.min_speed_rad_s,
-            "fade": math.exp(-tick_ns / SECOND / FADE_S), "period_s": times.sample_s,
-            "dt": SAMPLE_NS / SECOND, "motion_cycle_ns": times.period_ns, "tick_ns": tick_ns,
-            "n": n,
+            "period_s": times.sample_s, "dt": SAMPLE_NS / SECOND,
+            "motion_cycle_ns": times.period_ns, "tick_ns": tick_ns, "n": n,
         }  # fmt: skip
         for name, value in constants.items():
             self.record[name] = value
@@ -121,7 +118,7 @@ def _motions(motors: Sequence[Motor], config: Estimator, speed_step: float) -> R
         config.process_noise[4] * (m.T_rated / 30.0) ** 2 / SUB_STEP_S for m in motors
     ]
     made["pole_pairs"] = [m.pole_pairs for m in motors]
-    made["load_nm"] = made["smooth_speed"] = np.nan
+    made["smooth_speed"] = np.nan
     return made
 
 

@@ -1449,17 +1449,14 @@ struct motion {
     struct mechanics mechanics;    /* constant */
     double pole_pairs;             /* constant, above 0 */
     struct load_observer observer; /* state after the last reading */
-    double load_nm;                /* load used in the tick before, Nm; NaN: none */
-    double offset_nm;       /* remainder of the difference when the source last changed, Nm */
-    double smooth_speed;    /* speed of the filter without its noise, rad/s; NaN: none */
-    int64_t reading_ns;     /* stamp of the last reading */
-    int64_t readings;       /* number of readings since the observer started */
-    int64_t unlocked_ns;    /* time for which the filter has not found a rotor that turns */
+    double smooth_speed;           /* speed of the filter without its noise, rad/s; NaN: none */
+    int64_t reading_ns;            /* stamp of the last reading */
+    int64_t readings;              /* number of readings since the observer started */
+    int64_t unlocked_ns;           /* time for which the filter has not found a rotor that turns */
     int64_t disagree_ticks; /* consecutive ticks in which measured and estimated speed disagree */
     uint8_t started;        /* 1: there was a reading */
     uint8_t aliasing;       /* 1: too few samples of current per revolution for the filter */
     uint8_t crawls;         /* 1: too slow for the filter to be sure of finding the rotor */
-    uint8_t by_observer;    /* 1: `load_nm` came from the observer */
     uint8_t implausible;    /* 1: the input of the drive is implausible */
 };
 
@@ -1516,7 +1513,6 @@ struct motion_monitor {
     double max_w_e;          /* electrical speed beyond which samples are too few, rad/s */
     double turning_w_e;      /* electrical speed beyond which a filter finds its rotor, rad/s */
     double crawl_w_e;        /* electrical speed below which it may not, rad/s */
-    double fade;             /* share of `offset_nm` that is left after a tick */
     double period_s;         /* time between two samples of current, s */
     double dt;               /* sub-step of samples, s */
     int64_t motion_cycle_ns; /* cycle time of Motion, at least 1 */

@@ -21,7 +21,8 @@
 #define BRAKE_TAU_S        0.1 /* and of one that friction brakes may cause */
 /* By its own motors a train accelerates by no more than a hill's part plus this share of the load:
  * what turns is a few percent of its inertia. All wheels running away together need more torque; so
- * does a train slowed by friction brakes, and the two cases cannot be distinguished. */
+ * does a train slowed by friction brakes, and the two cases cannot be distinguished. Against the
+ * effort only a hill accelerates it; a rotor that does so by more has slid, and grips again. */
 #define ROTATING_FLOOR 0.02
 #define ROTATING_SHARE 0.08
 /* A drive without others may be running away if it accelerates by more than this (per unit of rated
@@ -154,7 +155,8 @@ static void accelerate(struct train_tick *t)
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         const double load = isnan(r->load) ? 0.0 : fabs(r->load);
-        const double most = ROTATING_FLOOR + ROTATING_SHARE * load;
+        const int with_effort = (rates.steady > 0.0) == (r->load > 0.0);
+        const double most = ROTATING_FLOOR + (with_effort ? ROTATING_SHARE * load : 0.0);
         r->acceleration_torque = clamp(torque_at(r, rates.steady, r->slow_speed), -most, most);
         r->brake_torque = 0.0;
         if (slows)

@@ -59,8 +59,8 @@ STATE: dict[str, str] = {
     "bank.estimates": "",
     "inputs.status": "",
     "motion.motions": (
-        "observer load_nm offset_nm reading_ns readings unlocked_ns disagree_ticks started aliasing"
-        " crawls by_observer implausible smooth_speed"
+        "observer reading_ns readings unlocked_ns disagree_ticks started aliasing"
+        " crawls implausible smooth_speed"
     ),
     "motion.checks": (
         "current samples repeats block_repeats repeated_s base deviation learnt angle_ns"

@@ -19,7 +19,6 @@ HYSTERESIS: Final = 0.05
 SETTLED_READINGS: Final = 5
 MOST_MISSING: Final = 5
 """Periods without a reading after which the observer starts anew."""
-FADED_NM: Final = 1e-3
 SPEED_TOLERANCE: Final = 0.15
 SPEED_TOLERANCE_RAD_S: Final = 5.0
 """At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
@@ -45,11 +44,9 @@ class Memory(NamedTuple):
     observer (N, 8): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
     readings: since it began; beyond: the drive turns too fast for its current samples; crawls: too
     slowly for its flux to be seen; away: its wheel has run away or locked (given); mean: the speed
-    of the filter over the last tenth of a second; load: what
-    was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
-    the difference where that changed; apart: ticks in a row that the two speeds have been;
-    unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its input
-    cannot be what it seems.
+    of the filter over the last tenth of a second; apart: ticks in a row that the two speeds have
+    been; unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its
+    input cannot be what it seems.
     """
 
     observer: Array
@@ -57,9 +54,6 @@ class Memory(NamedTuple):
     last_ns: Ints
     readings: Ints
     beyond: Flags
-    load: Array
-    observed: Flags
-    offset: Array
     apart: Ints
     unlocked_ns: Ints
     wrong: Flags
@@ -79,8 +73,6 @@ class Limits(NamedTuple):
     hysteresis: float
     most_missing: int
     settled_readings: int
-    fade: float
-    faded_nm: float
     turning_rad_s: float
     locked_ns: int
     tolerance: float
@@ -92,11 +84,10 @@ class Limits(NamedTuple):
 def memory(n: int) -> Memory:
     """Nothing remembered."""
     zeros = [np.zeros(n, dtype=np.int64) for _ in range(4)]
-    flags = [np.zeros(n, dtype=np.bool_) for _ in range(6)]
+    flags = [np.zeros(n, dtype=np.bool_) for _ in range(5)]
     return Memory(
-        np.zeros((n, len(LoadState._fields))), flags[0], zeros[0], zeros[1], flags[1],
-        np.full(n, np.nan), flags[2], np.zeros(n), zeros[2], zeros[3], flags[3], flags[4],
-        flags[5], np.full(n, np.nan),
+        np.zeros((n, len(LoadState._fields))), flags[0], zeros[0], zeros[1], flags[1], zeros[2],
+        zeros[3], flags[2], flags[3], flags[4], np.full(n, np.nan),
     )  # fmt: skip
 
 
@@ -172,20 +163,6 @@ def _by_observer(k: int, fresh: bool, told: Told, memory: Memory, limits: Limits
         told.sigma[k], told.nis[k] = load.sigma, load.nis
 
 
-def _fade(k: int, observed: bool, told: Told, memory: Memory, limits: Limits) -> None:
-    """No bump where the source changes: the difference fades."""
-    load = told.load[k]
-    if math.isnan(memory.load[k]):
-        memory.offset[k] = 0.0
-    elif observed != memory.observed[k]:
-        memory.offset[k] = memory.load[k] - load
-    memory.observed[k] = observed
-    memory.offset[k] *= limits.fade if abs(memory.offset[k]) > limits.faded_nm else 0.0
-    memory.load[k] = load + memory.offset[k]
-    if memory.offset[k] != 0.0:
-        told.load[k] = memory.load[k]
-
-
 def _merge(
     k: int, fresh: bool, sampled: bool, any_beyond: bool, told: Told, memory: Memory, limits: Limits
 ) -> None:
@@ -204,10 +181,6 @@ def _merge(
         # It goes on with `Motion` alone, but nothing shows any more that this is plausible.
         if not sampled and told.health[k] == _TRACKING:
             told.health[k] = _PREDICTING
-    if invalid or math.isnan(told.load[k]) or told.health[k] != _TRACKING:
-        memory.load[k] = math.nan
-    else:
-        _fade(k, observed, told, memory, limits)
 
 
 def merge_motion(

@@ -24,7 +24,8 @@ behind its gear included."""
 ROTATING_SHARE: Final = 0.08
 ROTATING_FLOOR: Final = 0.02
 """And never more than this share of the load, plus a hill's part per unit of rated torque: what
-turns is a few percent of a train's inertia. All wheels that run away together need more."""
+turns is a few percent of a train's inertia. All wheels that run away together need more. Against
+the effort there is only the hill."""
 SINGLE_CREDIT: Final = 0.05
 """Per unit of rated torque: a drive without others that accelerates by more may be running away."""
 SINGLE_CHANGE: Final = 0.3
@@ -222,7 +223,8 @@ def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
     (rate, count), (quick, _) = middles
     for k in range(train.speed.shape[0]):
         load = 0.0 if math.isnan(train.load[k]) else abs(train.load[k])
-        most = ROTATING_FLOOR + ROTATING_SHARE * load
+        helped = (rate > 0.0) == (train.load[k] > 0.0)
+        most = ROTATING_FLOOR + (ROTATING_SHARE * load if helped else 0.0)
         train.taken[k] = min(max(_torque_of(train, k, rate, train.slow_speed[k]), -most), most)
         credit = _torque_of(train, k, quick, train.quick_speed[k])
         train.braked[k] = credit - train.taken[k] if braking and quick < 0.0 else 0.0

@@ -104,3 +104,17 @@ def test_a_rotor_that_runs_away_shows_where_it_is_alone_and_for_two_ticks():
     drives = Drives(speed=(99.0,) * N)
     drives.told.health[1:] = Health.CONVERGING
     assert not prepared(drives, core=core).responses["acceleration_torque"].any()
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize(("effort", "least", "most"), [(0.5, -0.02, 0.06), (-0.5, -0.06, 0.02)])
+def test_against_the_effort_only_a_hill_accelerates_a_train(way, effort, least, most):
+    """A wheel that grips again slows at once; the mean of its speed still holds the slide."""
+    core, credit = monitor(), {30.0: [], 90.0: [], 99.0: []}
+    load = way * effort
+    for speed in [90.0] * 60 + [30.0] * 60 + [99.0] * 60:
+        drives = Drives((load * BENCH_MOTOR.T_rated,) * N, (way * speed,) * N, (40.0 * load,) * N)
+        seen = prepared(drives, core=core).responses["load"].item(0)
+        credit[speed].append(way * (seen - load))
+    assert min(credit[30.0]) == pytest.approx(least)
+    assert max(credit[99.0]) == pytest.approx(most)

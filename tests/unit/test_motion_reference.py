@@ -34,7 +34,7 @@ FIELDS = {
 MOTION = {
     "started": "begun", "reading_ns": "last_ns", "readings": "readings", "aliasing": "beyond",
     "crawls": "crawls",
-    "load_nm": "load", "by_observer": "observed", "offset_nm": "offset", "disagree_ticks": "apart",
+    "disagree_ticks": "apart",
     "unlocked_ns": "unlocked_ns", "implausible": "wrong", "smooth_speed": "mean",
 }  # fmt: skip
 """The same of `struct motion`."""
@@ -57,8 +57,8 @@ class Plain:
         rows = np.stack([mechanics[name] for name in ("J", "B", "speed_var", "load_rate")], 1)
         self.limits = reference.Limits(
             rows, p, int(own["motion_cycle_ns"]), int(own["tick_ns"]), own["max_w_e"],
-            reference.HYSTERESIS, reference.MOST_MISSING, reference.SETTLED_READINGS, own["fade"],
-            reference.FADED_NM, own["turning_w_e"], reference.LOCKED_NS, reference.SPEED_TOLERANCE,
+            reference.HYSTERESIS, reference.MOST_MISSING, reference.SETTLED_READINGS,
+            own["turning_w_e"], reference.LOCKED_NS, reference.SPEED_TOLERANCE,
             reference.SPEED_TOLERANCE_RAD_S, reference.TICKS, own["crawl_w_e"],
         )  # fmt: skip
         self.doubt_ns = drives.rotors["unreliable_until_ns"].copy()
