@@ -1,9 +1,10 @@
-"""CSV of frames, read by its header: python-can's, SavvyCAN's (GVRET), CANedge's, pandas'.
+"""CSV of frames, read by its header: of python-can, SavvyCAN, CANedge, Vehicle Spy, IXXAT ..
 
 Columns are found by their names, in any order; unknown ones are ignored. Time is in seconds if it
 has a decimal point, in the unit in its column's name, or in microseconds (SavvyCAN's `Time Stamp`);
-a whole number of 12 or more digits is in ms, us or ns since 1970. CSS Electronics' CL1000 and
-CL2000 (`Timestamp;Type;ID;Data`) have stamps and types of their own.
+a whole number of 12 or more digits is in ms, us or ns since 1970, and the unit of shorter ones is
+guessed, with a note. CSS Electronics' CL1000 and CL2000 (`Timestamp;Type;ID;Data`) have stamps and
+types of their own.
 """
 
 from __future__ import annotations
@@ -21,39 +22,50 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, LATEST_NS, Format, Head, Line, nanoseconds
-from dbc.logs.times import date_ns, logger_ns
+from dbc.logs.guesses import too_close, unit_of
+from dbc.logs.times import clock_ns, date_ns, logger_ns
 
 _NAMES: Final = {
     "time": "timestamp time timestampepoch t abstime offset",
     "id": "arbitrationid id canid identifier messageid msgid arbid addr address",
-    "extended": "extended ide ext isextended isextendedid",
-    "remote": "remote rtr isremote isremoteframe",
-    "error": "error iserror iserrorframe",
+    "extended": "extended ide ext isextended isextendedid xtd",
+    "remote": "remote rtr isremote isremoteframe remoteedlbrsesi",
+    "error": "error iserror iserrorframe er",
     "fd": "fd edl isfd",
     "brs": "brs bitrateswitch",
     "esi": "esi errorstateindicator",
     "dlc": "dlc",
     "length": "len length datalength size",
-    "direction": "dir direction",
-    "channel": "bus channel buschannel interface",
+    "direction": "dir direction tr rxtx txrx tx",
+    "channel": "bus channel buschannel interface ch network",
     "data": "data databytes payload bytes",
     "type": "type",
+    "format": "format",
+    "flags": "flags",
 }
 _KIND: Final = {name: kind for kind, names in _NAMES.items() for name in names.split()}
 _BYTE: Final = re.compile(r"(?:d|b|data|byte)(\d{1,2})")
 _UNIT: Final = re.compile(r"[\[(_ ](ns|us|µs|ms|s|sec|seconds)[\])]?$")
+_HEX_TITLE: Final = re.compile(r" *\(hex\)$")
+_HEX: Final = re.compile(r"(?:[0-9A-Fa-f]{2}\s*)*")
 _UNITS_NS: Final = {"ns": 1, "us": 1000, "µs": 1000, "ms": MS}
 _WORDS: Final = {"true": True, "false": False, "1": True, "0": False, "": False, "yes": True,
-                 "no": False, "1.0": True, "0.0": False, "y": True, "n": False}  # fmt: skip
+                 "no": False, "1.0": True, "0.0": False, "y": True, "n": False, "t": True,
+                 "f": False}  # fmt: skip
 _FLAGS: Final = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR, "fd": FD, "brs": BRS,
                  "esi": ESI}  # fmt: skip
 _SENT: Final = {"tx": TX, "t": TX, "1": TX, "true": TX}
+_FORMATS: Final = {"std": 0, "standard": 0, "ext": EXTENDED, "extended": EXTENDED}
 _NOTHING: Final = re.compile(r"^()()()(.*)$", re.MULTILINE)
 _LOGGER: Final = {"timestamp", "lost", "type", "id", "length", "data"}
 """Columns of a CL1000 or CL2000. `Type`: 0 and 8: 11 bits; 1 and 9: 29 bits; 8 and 9: sent."""
 _LOGGER_TYPES: Final = {"0": 0, "1": EXTENDED, "8": TX, "9": EXTENDED | TX}
 _LOGGER_START: Final = re.compile(r"# *Time: *(\d{8}T\d{6})\s*")
 _SECONDS: Final = re.compile(r"-?\d+\.\d*|\d{10}")
+_CLOCK: Final = re.compile(r"\d{1,2}:\d\d:\d\d[.,]\d{1,9}")
+_EPOCH_DIGITS: Final = 11
+_STAMPS: Final = 1000
+"""Number of times by which their unit is guessed."""
 _BAD_TIMES: Final = 100
 """Most unreadable times that are kept for error messages."""
 NO_DATE: Final = "stamps name a day but no month: it is taken for January 1970"
@@ -74,6 +86,7 @@ def _columns(text: str) -> _Columns | None:
         return None
     separator = max(",;\t", key=text.count)
     titles = [title.strip().strip('"').lower() for title in text.split(separator)]
+    titles = [_HEX_TITLE.sub("", title) for title in titles]
     plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", title)) for title in titles]
     kinds = [_KIND.get(name, "byte" if _BYTE.fullmatch(name) else "") for name in plain]
     if not {"time", "id"} <= set(kinds) or not {"data", "byte"} & set(kinds):
@@ -84,13 +97,14 @@ def _columns(text: str) -> _Columns | None:
 class Csv(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
 
-    def __init__(self) -> None:
-        """Start without a header."""
+    def __init__(self, lines: Sequence[str] = ()) -> None:
+        """Start without a header. lines: the first ones; others may stand before the header."""
         self.regex = _NOTHING
+        self._preamble = any(map(is_header, lines))
         self._head: list[str] = []
         self._unit_ns = 0
         self._savvycan = False
-        self._base64 = False
+        self._base64 = self._decimal = False
         self._split = False
         self._logger = False
         self._start: datetime | None = None
@@ -112,13 +126,16 @@ class Csv(Format):
             if started := _LOGGER_START.match(text):
                 self._start = _moment(started[1])
             return Line(Verdict.COMMENT)
-        return Line(Verdict.MALFORMED)
+        before = self._preamble and self.regex is _NOTHING
+        return Line(Verdict.HEADER if before else Verdict.MALFORMED)
 
     def _use(self, columns: _Columns) -> None:
         """Read the lines that follow by this header."""
         separator, titles, plain, kinds = columns
         self._base64 = "arbitrationid" in plain and "data" in plain
+        self._decimal = titles == ["time", "addr", "bus", "data"]
         self._split = "data" not in kinds
+        self._bytes = kinds.count("byte")
         self._logger = "type" in titles and set(titles) <= _LOGGER
         title = titles[kinds.index("time")]
         unit = _UNIT.search(title)
@@ -147,17 +164,28 @@ class Csv(Format):
 
     def _guessed_unit(self, texts: Sequence[str]) -> int:
         """Unit, ns, of the first times behind a header that states none."""
+        whole = [text.removesuffix(".0") for text in texts[:_STAMPS]]
         if self._savvycan:  # whole microseconds, to which pandas adds ".0", or seconds
-            return 1000 if all(t.partition(".")[2] in ("", "0") for t in texts) else SECOND
+            if not all(text.lstrip("-").isdecimal() for text in whole):
+                return SECOND
+            if too_close(whole):
+                self.notes.append("times are too close to one another for us: taken for ms")
+                return MS
+            return 1000
         digits = len(texts[0].lstrip("-")) if "." not in texts[0] else 0
-        return 1 if digits > 17 else 1000 if digits > 14 else MS if digits > 11 else SECOND
+        if digits > _EPOCH_DIGITS:
+            return 1 if digits > 17 else 1000 if digits > 14 else MS
+        unit, why = unit_of(texts[:_STAMPS])
+        if why:
+            self.notes.append(f"{why}; a unit in the title of their column counts: `Time (s)`")
+        return _UNITS_NS.get(unit, SECOND)
 
     def _time_ns(self, text: str, unit_ns: int) -> int:
         """Nanoseconds of a number, which may have an exponent, or a date. Raises ValueError."""
         try:
             exact = Decimal(text) * unit_ns
         except InvalidOperation:
-            return self._date_ns(text)
+            return clock_ns(text) if _CLOCK.fullmatch(text) else self._date_ns(text)
         if not abs(exact) <= LATEST_NS:
             raise ValueError(text)
         return int(exact)
@@ -195,9 +223,13 @@ class Csv(Format):
     def data(self, text: str, length: int) -> bytes:
         """Bytes from Base64, or from hexadecimal with any separator between the bytes."""
         if self._base64:
-            return binascii.a2b_base64(text.strip(' "'), strict_mode=True)
+            plain = text.strip(' "')
+            # Base64 of as many bytes has either another number of characters or a `=`.
+            if _HEX.fullmatch(plain) and (length < 0 or length == len(bytes.fromhex(plain))):
+                return bytes.fromhex(plain)
+            return binascii.a2b_base64(plain, strict_mode=True)
         if self._split:
-            cells = text.split(self._separator)
+            cells = text.split(self._separator)[: self._bytes]
             found = cells[:length] if length >= 0 else [cell for cell in cells if cell.strip()]
             return bytes(int(cell.strip().strip('"'), 16) for cell in found)
         return bytes.fromhex(text) if text.isalnum() and text[1:2] != "x" else _bytes_of(text)
@@ -218,15 +250,16 @@ class Csv(Format):
             return Head(0, verdict=Verdict.MALFORMED)
 
     def _frame(self, cells: dict[str, str]) -> Head:
-        number = int(cells["id"].removesuffix("x").removesuffix("h"), 16)
-        flags = 0
+        base = 10 if self._decimal and cells["id"][1:2] != "x" else 16
+        number = int(cells["id"].removesuffix("x").removesuffix("h"), base)
+        flags = _FORMATS.get(cells.get("format", "").lower(), 0)
+        flags |= REMOTE if "rtr" in cells.get("flags", "").lower() else 0
         for name, flag in _FLAGS.items():
             flags |= flag if _WORDS[cells.get(name, "").lower()] else 0
         if self._logger:
             flags |= _LOGGER_TYPES[cells["type"]] | (EXTENDED if number > 0x7FF else 0)
         elif "extended" not in cells:
-            long = number > 0x7FF or len(cells["id"].removeprefix("0x")) > 4
-            flags |= EXTENDED if long else 0
+            flags |= EXTENDED if number > 0x7FF or cells["id"][-1] == "x" else 0
         code = _whole(cells["dlc"]) if cells.get("dlc") else -1
         size = _whole(cells["length"]) if cells.get("length") else -1
         if size < 0 <= code:
@@ -237,7 +270,7 @@ class Csv(Format):
         if flags & ERROR:
             flags = ERROR
         flags |= _SENT.get(cells.get("direction", "").lower(), 0)
-        channel = cells.get("channel", "")
+        channel = "_".join(cells.get("channel", "").split())
         if flags & REMOTE:
             return Head(number, flags, 0, channel, max(code, size) or -1)
         raw = code if not flags & FD and CLASSIC_BYTES < code < 16 and size == CLASSIC_BYTES else -1

@@ -17,6 +17,7 @@ _LOOKED_AT: Final = 1 << 16
 LINES: Final = 100
 """Number of lines by which a format is recognised."""
 _ASC: Final = re.compile(rb"date\s+\S|base\s+(hex|dec)\b|begin\s+triggerblock", re.I)
+_TRC: Final = re.compile(rb";\$\w+=")
 _PACKED: Final = {
     b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"BZh": "bzip2", b"PK\3\4": "zip",
     b"7z\xbc\xaf": "7z", b"\x04\x22\x4d\x18": "lz4",
@@ -38,8 +39,9 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     """
     _refuse_packed(path)
     kind = ending(path)
-    if not line and kind not in OTHERS and (kind not in TEXT or _is_candump(path)):
-        kind = _by_content(path)
+    if not line and kind not in OTHERS and not _fits_ending(kind, path):
+        found = _by_content(path)
+        kind = found if found or kind not in TEXT or _is_candump(path) else kind
     form = _by_pattern(line, path) if line else _format(kind, path)
     if form is not None:
         from dbc.logs.text import TextReader
@@ -57,6 +59,17 @@ def _refuse_packed(path: Path) -> None:
     for magic, name in _PACKED.items():
         if start.startswith(magic):
             raise LogError(str(path), 0, f"is compressed ({name}): unpack it, or use gzip")
+
+
+def _fits_ending(kind: str, path: Path) -> bool:
+    """Whether the first lines are of the format that the ending names."""
+    lines = first_lines(path)
+    if kind == ".csv":
+        from dbc.logs.csv import is_header
+
+        return any(is_header(line.decode("latin-1")) for line in lines)
+    mark = {".asc": _ASC, ".trc": _TRC}.get(kind)
+    return mark is not None and any(map(mark.match, lines))
 
 
 def _is_candump(path: Path) -> bool:
@@ -84,7 +97,8 @@ def _format(kind: str, path: Path) -> Callable[[], Any] | None:
     if kind == ".csv":
         from dbc.logs.csv import Csv
 
-        return Csv
+        lines = [line.decode("latin-1") for line in first_lines(path)]
+        return lambda: Csv(lines)
     if "{" in kind:
         return _by_pattern(kind, path)
     return None

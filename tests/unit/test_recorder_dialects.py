@@ -1,0 +1,134 @@
+"""Text logs and CSV of further recorders, in the forms of public files; the lines are made up."""
+
+import pytest
+
+from dbc.frame import EXTENDED, SECOND
+from dbc.logs.opening import open_reader
+from gateway.cli import main
+from tests.unit.test_foreign_logs import lines_of
+from tests.unit.test_odd_logs import read, shown
+
+CANKING = "Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n"
+CARBUS = "@ TEXT @ 3 @ 64 @ 0 @ 3 @ 21701 @ 00:00:21.701 @\r# $LocalTime=05:16:53.581\r"
+VEHICLE_SPY = (
+    "ISO8601 Timestamp,2018/06/29T13:00:47.000019,,\n\nLine,Abs Time(Sec),Rel Time (Sec),Status,Er,"
+    "Tx,Description,Network,Node,Arb ID,Remote,Xtd,B1,B2,B3,B4,B5,B6,B7,B8,Value,Trigger,Signals\n"
+)
+IXXAT = (
+    "ASCII Trace IXXAT MiniMon V3\nDate: 5/9/2024\n"
+    '"Time","Identifier (hex)","Format","Flags","Data (hex)"\n'
+)
+ANALYZER = "ParserFlags\tCh\tCounter\tT/R\tTime\tFlags\tCAN ID\tLen\tData\n"
+BUSMASTER = "***BUSMASTER Ver 2.4.0***\n***HEX***\n"
+
+LOGS = [
+    ("a.txt", CANKING + " 0    00000181         2  01  02                        1.500000 R\n"
+     " 1    00002102 X       1  60                                    1.600000 T\n"
+     " 0    00000000            ErrorFrame                        1.700000 R\n"
+     " 0    00000182 Q       1  60                                    1.800000 T\n"
+     "Logging stopped.\n",
+     ["1.5 181#0102", "1.6 00002102#60 T", "1.7 20000000#"], {"comment": 2, "malformed": 1}),
+    ("a.trc", CARBUS + "59,990000\t1\t00000004\t181\t2\t24 00                   \t00000000\t$ \t\r"
+     "00,010000\t2\t00000005\t00000182\t1\t7F\t00000000\t\t\r01,010000\t2\t0006\t182\t1\t7F\t0000\t\t\r",
+     ["59.99 181#2400", "60.01 00000182#7F"], {"comment": 2, "malformed": 1}),
+    # Before python-can 2.0: a digit each for remote, 29 bits, error.
+    ("a.txt", "Timestamp: 1.500000        ID: 0350    000    DLC: 2    05 28\n"
+     "Timestamp: 1.600000        ID: 05f0    100    DLC: 8\n"
+     "Timestamp: 1.700000    ID: 18ff0102    010    DLC: 1    05\n",
+     ["1.5 350#0528", "1.6 5F0#R8", "1.7 18FF0102#05"], {}),
+    ("a.csv", VEHICLE_SPY + "2,2550.368293675,0.003,8,F,F,HS,HS CAN,,119,F,F,00,1,,,,,,,7,,\n"
+     "3,2550.5,0.001,67371008,F,T,,HS CAN,,18FF0102,F,T,01,02,03,,,,,,,,\n"
+     "4,2550.6,0.001,67371008,F,F,,HS CAN,,120,T,F,,,,,,,,,,,\n",
+     ["2550.368293675 119#0001", "2550.5 18FF0102#010203 T", "2550.6 120#R"],
+     {"header": 2, "blank": 1}),
+    ("a.csv", IXXAT + '"00:30:06.866","184","Std","","00 06"\n"00:30:06.882","374","Ext","","00"\n'
+     '"00:30:06.892","374","Std","Rtr",""\n',
+     ["1806.866 184#0006", "1806.882 00000374#00", "1806.892 374#R"], {"header": 3}),
+    # Cabana: addresses are decimal, in later versions hexadecimal with 0x.
+    ("a.csv", "time,addr,bus,data\n0.5,308,0,0acc\n0.6,0x440,1,0x4000\n",
+     ["0.5 134#0ACC", "0.6 440#4000"], {"header": 1}),
+    # Bytes of `arbitration_id` are Base64 in files of python-can only.
+    ("a.csv", "Timestamp,Arbitration_ID,DLC,Data,Class\n0.5,153,3,20 A1 10,Normal\n"
+     "0.6,153,4,20A11000,Normal\n0.7,153,3,20A1,Normal\n",
+     ["0.5 153#20A110", "0.6 153#20A11000", "0.7 153#DB4035"], {"header": 1}),
+    ("a.csv", '"Message Number","Time (ms)","Time","ID","Data (Hex)","Length"\n'
+     '"0","1.500","8:09","0x2E1","10 21 ","2"\n',
+     ["0.0015 2E1#1021"], {"header": 1}),
+    # BUSMASTER's own converter: numbers of one digit, bytes behind a request for data.
+    ("a.log", BUSMASTER + "0:0:1:0603 Tx 1 0x150 sr 8 00 00 00 00 00 00 00 00\n"
+     "0:0:2:0000 Rx 1 0x151 s 1 05\n",
+     ["1.0603 150#R8 T", "2 151#05"], {"comment": 2}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text", "frames", "counts"), LOGS)
+def test_logs_of_further_recorders(tmp_path, name, text, frames, counts):
+    path = tmp_path / name
+    path.write_text(text)
+    assert lines_of(path) == (frames, counts)
+
+
+@pytest.mark.parametrize(
+    ("title", "first", "step", "seconds", "note"),
+    [
+        ("Time", 8_949_243, 6, 8949.243, "taken for ms"),
+        ("Time", 8_949_243, 1, 8949.243, "taken for ms"),
+        ("Time", 8_949_243, 1500, 8.949243, "taken for us"),
+        ("Time", 1_700_000_000, 7, 1_700_000_000, "since 1970, in s"),
+        ("Time (s)", 8_949_243, 6, 8_949_243, ""),
+        ("Time Stamp", 8_949_243, 300, 8.949243, ""),
+        ("Time Stamp", 8_949_243, 3, 8949.243, "taken for ms"),
+    ],
+)
+def test_the_unit_of_whole_times_in_csv_is_guessed_and_said(
+    tmp_path, title, first, step, seconds, note
+):
+    rows = "".join(f"{first + step * k},181,0A\n" for k in range(30))
+    frames, counts, notes = read(tmp_path, "a.csv", f"{title},ID,Data\n{rows}")
+    assert not counts
+    assert frames[0].t_ns == round(seconds * SECOND)
+    assert note in "".join(notes)
+    assert bool(note) == bool(notes)
+
+
+def test_times_in_us_are_known_by_their_irregular_distances(tmp_path):
+    stamps = [8_949_243 + 400 * k + 13 * k * k for k in range(30)]
+    rows = "".join(f"{stamp},181,0A\n" for stamp in stamps)
+    frames, _, notes = read(tmp_path, "a.csv", f"Time,ID,Data\n{rows}")
+    assert frames[0].t_ns == 8_949_243_000
+    assert "taken for us" in notes[0]
+
+
+def test_zeros_before_a_short_identifier_do_not_make_it_long(tmp_path):
+    text = f"{ANALYZER}1\t0\t1\tRX\t10.5\t\t0x00000605\t2\t0x00 1f \n"
+    text += "1\t0\t2\tTX\t10.6\t\t0x1cff0605\t1\t0x00 \n"
+    frames, counts, _ = read(tmp_path, "a.log", text)
+    assert not counts
+    assert shown(frames) == ["605#001F", "T"]
+    assert [frame.flags & EXTENDED for frame in frames] == [0, EXTENDED]
+
+
+def test_a_log_whose_first_frame_is_not_its_earliest(tmp_path):
+    text = "Time Stamp,ID,Data\n-5.5,181,01\n-99.25,181,02\n-99.0,181,03\n"
+    frames, _, (note,) = read(tmp_path, "a.csv", text)
+    assert [frame.t_ns / SECOND for frame in frames] == [94.5, 0.75, 1.0]
+    assert note == "times begin before 0: all are moved forward by 100 s"
+
+
+def test_lines_like_candumps_with_fewer_decimals(tmp_path):
+    """Battery-Emulator's: `--line auto` proposes the pattern of candump's screen output."""
+    path = tmp_path / "a.log"
+    path.write_text("(371.19) RX0 583 [2] 00 40\n(371.20) TX1 1B000010 [1] 10\n")
+    out = tmp_path / "out.log"
+    assert main(["convert", str(path), str(out), "--line", "auto"]) == 0
+    assert [frame.t_ns for frame in open_reader(out, strict=False)] == [
+        371_190_000_000,
+        371_200_000_000,
+    ]
+
+
+def test_auto_names_the_cure_for_candump_without_times(tmp_path, capsys):
+    path = tmp_path / "a.log"
+    path.write_text("  can0  123   [2]  01 02\n" * 3)
+    assert main(["convert", str(path), str(tmp_path / "out.log"), "--line", "auto"]) == 2
+    assert "record with `candump -L IF`" in " ".join(capsys.readouterr().err.split())
