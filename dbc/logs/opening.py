@@ -23,6 +23,11 @@ _PACKED: Final = {
     b"7z\xbc\xaf": "7z", b"\x04\x22\x4d\x18": "lz4",
 }  # fmt: skip
 """Starts of files that none of the readers unpacks."""
+_CAPTURES: Final = (
+    b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n",
+)  # fmt: skip
+"""Starts of pcap files, in us and ns, and of pcapng."""
+_WORKBOOKS: Final = (".xlsx", ".xlsm", ".ods")
 TEXT: Final = (".asc", ".trc", ".csv")
 OTHERS: Final = (".blf", ".mf4", ".db")
 
@@ -35,9 +40,9 @@ def ending(path: Path) -> str:
 def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     """The reader of an existing file. line: a pattern of its lines (`dbc.logs.pattern`).
 
-    Raises PatternError, or LogError if no reader fits or the file is compressed, but not by gzip.
+    Raises PatternError, or LogError if no reader fits, as for a compressed file or a capture.
     """
-    _refuse_packed(path)
+    _refuse_others(path)
     kind = ending(path)
     if not line and kind not in OTHERS and not _fits_ending(kind, path):
         found = _by_content(path)
@@ -52,10 +57,15 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     return Reader(path, strict=strict)
 
 
-def _refuse_packed(path: Path) -> None:
-    """Raises LogError for a file that is compressed by anything but gzip."""
+def _refuse_others(path: Path) -> None:
+    """Raises LogError for a file compressed by anything but gzip, a capture, and a workbook."""
     with path.open("rb") as stream:
         start = stream.read(8)
+    if start.startswith(_CAPTURES):
+        why = "is a capture of Wireshark (pcap): open it in SavvyCAN, and save it as CSV"
+        raise LogError(str(path), 0, why)
+    if start.startswith(b"PK") and path.suffix.lower() in _WORKBOOKS:
+        raise LogError(str(path), 0, "is a workbook of a spreadsheet: save the sheet as CSV")
     for magic, name in _PACKED.items():
         if start.startswith(magic):
             raise LogError(str(path), 0, f"is compressed ({name}): unpack it, or use gzip")

@@ -1,9 +1,15 @@
 """Text logs and CSV of further recorders, in the forms of public files; the lines are made up."""
 
+import re
+
+import numpy as np
 import pytest
 
+from dbc.candump.reader import LogError
 from dbc.frame import EXTENDED, SECOND
 from dbc.logs.opening import open_reader
+from dbc.spec import DbcMismatch
+from dbc.tolerant import read_any_dbc
 from gateway.cli import main
 from tests.unit.test_foreign_logs import lines_of
 from tests.unit.test_odd_logs import read, shown
@@ -132,3 +138,81 @@ def test_auto_names_the_cure_for_candump_without_times(tmp_path, capsys):
     path.write_text("  can0  123   [2]  01 02\n" * 3)
     assert main(["convert", str(path), str(tmp_path / "out.log"), "--line", "auto"]) == 2
     assert "record with `candump -L IF`" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "why"),
+    [
+        ("a.pcap", b"\xd4\xc3\xb2\xa1\2\0\4\0", "is a capture of Wireshark (pcap): open it in Sav"),
+        ("a.log", b"\n\r\r\n\x1c\0\0\0", "is a capture of Wireshark (pcap): open it in SavvyCAN"),
+        (
+            "a.xlsx",
+            b"PK\3\4\x14\0\x08\x08",
+            "is a workbook of a spreadsheet: save the sheet as CSV",
+        ),
+    ],
+)
+def test_files_that_other_programs_must_convert(tmp_path, name, start, why):
+    path = tmp_path / name
+    path.write_bytes(start + bytes(100))
+    with pytest.raises(LogError, match=re.escape(why)):
+        open_reader(path, strict=False)
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_an_mdf_of_signals_holds_no_frames(tmp_path, version):
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version=version) as made:
+        made.append([asammdf.Signal(np.arange(5.0), np.arange(5.0), name="speed")])
+        path = made.save(tmp_path / "a.mf4")
+    with pytest.raises(LogError, match="has no group of CAN frames"):
+        list(open_reader(path, strict=False))
+
+
+@pytest.mark.parametrize(
+    ("ending", "cure"),
+    [("kcd", "`cantools convert"), ("eds", "`check --eds` takes"), ("dbc", "in it")],
+)
+def test_a_description_of_another_kind_than_dbc(tmp_path, ending, cure):
+    path = tmp_path / f"a.{ending}"
+    path.write_text("<NetworkDefinition/>\n")
+    with pytest.raises(DbcMismatch, match="is not a DBC: there is no entry of one in it") as caught:
+        read_any_dbc(path)
+    assert cure in str(caught.value)
+
+
+DBC = """VERSION ""
+BU_: A B
+BO_ {0} Drive: 8 A
+ SG_ Torque : 0|16@1- (0.5,0) [0|0] "Nm" B
+ SG_ Mode M : 16|8@1+ (1,0) [0|0] "" B
+ SG_ T1 m1 : 24|8@1+ (1,0) [0|0] "" B
+ SG_ F : 32|32@1- (1,0) [0|0] "" B
+BO_ 256 Other: 8 A
+ SG_ X : 0|8@1+ (1,0) [0|0] "" B
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 100000;
+BA_DEF_REL_ BU_SG_REL_ "Timeout" INT 0 100000;
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_DEF_DEF_REL_ "Timeout" 0;
+BA_ "GenMsgCycleTime" BO_ {0} 20;
+BA_REL_ "Timeout" BU_SG_REL_ B SG_ {0} Torque 5000;
+CM_ SG_ {0} Torque "not 441799690";
+SIG_VALTYPE_ {0} F : 1;
+SG_MUL_VAL_ {0} T1 Mode 1-1;
+VAL_ {0} Mode 0 "off" 1 "on" ;
+BO_TX_BU_ {0} : A,B;
+"""
+
+
+def test_a_long_identifier_without_the_bit_that_marks_it(tmp_path):
+    """Editors that do not know the rule write the identifier as it is on the bus."""
+    number = 441_799_690
+    (tmp_path / "right.dbc").write_text(DBC.format(number | 1 << 31))
+    (tmp_path / "bare.dbc").write_text(DBC.format(number))
+    right, none = read_any_dbc(tmp_path / "right.dbc")
+    bare, (note,) = read_any_dbc(tmp_path / "bare.dbc")
+    assert bare == right
+    assert not none
+    assert note == (
+        "line 3: BO_ 441799690 Drive: bit 31, which marks 29 bits, is missing: read as 29 bits"
+    )
