@@ -26,7 +26,7 @@ from dbc.logs.guesses import too_close, unit_of
 from dbc.logs.times import clock_ns, date_ns, logger_ns
 
 _NAMES: Final = {
-    "time": "timestamp time timestampepoch t abstime offset",
+    "time": "timestamp time timestampepoch t abstime offset timeabs",
     "id": "arbitrationid id canid identifier messageid msgid arbid addr address",
     "extended": "extended ide ext isextended isextendedid xtd",
     "remote": "remote rtr isremote isremoteframe remoteedlbrsesi",
@@ -34,7 +34,7 @@ _NAMES: Final = {
     "fd": "fd edl isfd",
     "brs": "brs bitrateswitch",
     "esi": "esi errorstateindicator",
-    "dlc": "dlc",
+    "dlc": "dlc dl",
     "length": "len length datalength size",
     "direction": "dir direction tr rxtx txrx tx",
     "channel": "bus channel buschannel interface ch network",
@@ -66,6 +66,12 @@ _CLOCK: Final = re.compile(r"\d{1,2}:\d\d:\d\d[.,]\d{1,9}")
 _EPOCH_DIGITS: Final = 11
 _STAMPS: Final = 1000
 """Number of times by which their unit is guessed."""
+_KVASER: Final = ["time", "channel", "id", "flags", "dlc"]
+"""First columns of a CSV that Kvaser's converter writes from a Memorator's log."""
+_KVASER_BITS: Final = ((1, REMOTE), (4, EXTENDED), (0x20, ERROR), (0x40, TX), (0x10000, FD),
+                       (0x20000, BRS), (0x40000, ESI))  # fmt: skip
+_BASE: Final = re.compile(r"Format of (id|data) field\W+(HEX|DEC)\b")
+_SPREADSHEET: Final = re.compile(r"\b\d[.,]\d+E\+\d+")
 _BAD_TIMES: Final = 100
 """Most unreadable times that are kept for error messages."""
 NO_DATE: Final = "stamps name a day but no month: it is taken for January 1970"
@@ -100,13 +106,16 @@ class Csv(Format):
     def __init__(self, lines: Sequence[str] = ()) -> None:
         """Start without a header. lines: the first ones; others may stand before the header."""
         self.regex = _NOTHING
+        self._first_lines = "\n".join(lines)
         self._preamble = any(map(is_header, lines))
         self._head: list[str] = []
+        self._separator = ","
         self._unit_ns = 0
         self._savvycan = False
-        self._base64 = self._decimal = False
+        self._base64 = self._decimal = self._decimal_bytes = False
         self._split = False
-        self._logger = False
+        self._logger = self._kvaser = False
+        self._bases: dict[str, str] = {}
         self._start: datetime | None = None
         self._bad_times: set[str] = set()
         self.notes: list[str] = []
@@ -126,6 +135,8 @@ class Csv(Format):
             if started := _LOGGER_START.match(text):
                 self._start = _moment(started[1])
             return Line(Verdict.COMMENT)
+        if base := _BASE.match(text):
+            self._bases[base[1]] = base[2]
         before = self._preamble and self.regex is _NOTHING
         return Line(Verdict.HEADER if before else Verdict.MALFORMED)
 
@@ -149,10 +160,38 @@ class Csv(Format):
                   groups.index("data"), len(groups)]  # fmt: skip
         self.order = () if places == sorted(places) else tuple(places)
         self._separator = separator
+        self._kvaser = titles[: len(_KVASER)] == _KVASER
+        if self._kvaser:
+            self._decimal = self._bases.get("id") == "DEC"
+            self._decimal_bytes = self._bases.get("data") == "DEC"
+        elif self._split:
+            self._see_decimals()
+
+    def _see_decimals(self) -> None:
+        """Take bytes for decimal if one of the first has three digits, and none looks hexadecimal.
+
+        Then identifiers of decimal digits alone are decimal as well.
+        """
+        rows = [row for row in self.regex.findall(self._first_lines) if not row[-1]]
+        data = self.order[-2] if self.order else -2
+        words = [cell.strip(' "') for row in rows for cell in self._cells(row[data], -1)]
+        whole = [word.isdecimal() and (word[0] != "0" or word == "0") for word in words]
+        self._decimal_bytes = all(whole) and any(len(word) == len("255") for word in words)
+        if self._decimal_bytes:
+            at = (self.order or range(len(rows[0])))[1 + self._head.index("id")]
+            self._decimal = all(row[at].strip(' "').isdecimal() for row in rows)
+            self.notes.append(f"bytes {'and identifiers ' * self._decimal}are decimal numbers")
+
+    def _cells(self, text: str, length: int) -> list[str]:
+        """Cells of the columns of bytes: as many as `length`, -1 for all that are not empty."""
+        cells = text.split(self._separator)[: self._bytes]
+        return cells[:length] if length >= 0 else [cell for cell in cells if cell.strip()]
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
         """Nanoseconds, by the unit in the header or the number of digits of the first time."""
         texts = [text.strip() for text in texts]
+        if self._separator != ",":
+            texts = [text.replace(",", ".") for text in texts]
         if self._logger:
             return np.array([self._logger_ns(text) for text in texts], dtype=np.int64)
         if texts and not self._unit_ns:
@@ -214,6 +253,8 @@ class Csv(Format):
         """Reason: no header, or a time that cannot be read; empty if it is neither."""
         if self.regex is _NOTHING:
             return "no header names columns for time, identifier and data (docs/files.md)"
+        if changed := _SPREADSHEET.search(text):
+            return f"{changed[0]} was a hexadecimal number before a spreadsheet changed it"
         bad = next((time for time in self._bad_times if time and time in text), "")
         if not bad:
             return ""
@@ -229,9 +270,8 @@ class Csv(Format):
                 return bytes.fromhex(plain)
             return binascii.a2b_base64(plain, strict_mode=True)
         if self._split:
-            cells = text.split(self._separator)[: self._bytes]
-            found = cells[:length] if length >= 0 else [cell for cell in cells if cell.strip()]
-            return bytes(int(cell.strip().strip('"'), 16) for cell in found)
+            base = 10 if self._decimal_bytes else 16
+            return bytes(int(cell.strip(' "'), base) for cell in self._cells(text, length))
         return bytes.fromhex(text) if text.isalnum() and text[1:2] != "x" else _bytes_of(text)
 
     def whole(self, text: str) -> bool:
@@ -249,19 +289,31 @@ class Csv(Format):
         except (ValueError, KeyError, IndexError):
             return Head(0, verdict=Verdict.MALFORMED)
 
+    def _words(self, cells: dict[str, str]) -> int:
+        """Flags from the columns `Format`, `Type` and `Flags`."""
+        if self._kvaser:
+            return _bits(cells["flags"])
+        flags = _FORMATS.get(cells.get("format", "").lower(), 0)
+        kind = cells.get("type", "").lower() + cells.get("flags", "").lower()
+        if "rtr" in kind or "remote" in kind:
+            flags |= REMOTE
+        return flags | (ERROR if "error" in kind else 0)
+
     def _frame(self, cells: dict[str, str]) -> Head:
         base = 10 if self._decimal and cells["id"][1:2] != "x" else 16
-        number = int(cells["id"].removesuffix("x").removesuffix("h"), base)
-        flags = _FORMATS.get(cells.get("format", "").lower(), 0)
-        flags |= REMOTE if "rtr" in cells.get("flags", "").lower() else 0
+        flags = self._words(cells)
+        digits = cells["id"].removesuffix("x").removesuffix("h")
+        number = int(digits, base) if digits or not flags & ERROR else 0
         for name, flag in _FLAGS.items():
             flags |= flag if _WORDS[cells.get(name, "").lower()] else 0
         if self._logger:
             flags |= _LOGGER_TYPES[cells["type"]] | (EXTENDED if number > 0x7FF else 0)
         elif "extended" not in cells:
-            flags |= EXTENDED if number > 0x7FF or cells["id"][-1] == "x" else 0
+            flags |= EXTENDED if number > 0x7FF or cells["id"].endswith("x") else 0
         code = _whole(cells["dlc"]) if cells.get("dlc") else -1
         size = _whole(cells["length"]) if cells.get("length") else -1
+        if self._kvaser and not flags & FD:
+            size = min(code, CLASSIC_BYTES)
         if size < 0 <= code:
             # python-can's dlc is the number of bytes; with a column for CAN FD it is a code.
             size = FD_SIZES[code] if flags & FD else code
@@ -275,6 +327,12 @@ class Csv(Format):
             return Head(number, flags, 0, channel, max(code, size) or -1)
         raw = code if not flags & FD and CLASSIC_BYTES < code < 16 and size == CLASSIC_BYTES else -1
         return Head(number, flags, size, channel, raw)
+
+
+def _bits(text: str) -> int:
+    """Flags from Kvaser's."""
+    number = int(text)
+    return sum(flag for bit, flag in _KVASER_BITS if number & bit)
 
 
 def _row_pattern(separator: str, kinds: list[str], split: bool) -> tuple[list[str], list[str]]:

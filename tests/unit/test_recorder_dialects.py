@@ -25,6 +25,11 @@ IXXAT = (
     '"Time","Identifier (hex)","Format","Flags","Data (hex)"\n'
 )
 ANALYZER = "ParserFlags\tCh\tCounter\tT/R\tTime\tFlags\tCAN ID\tLen\tData\n"
+KVASER = (
+    "CSV CAN data\n\nFormat of data field;{}\nFormat of id field;{}\n"
+    "Time;Channel;id;Flags;DLC;Data0;Data1;Data2;Data3;Counter;AbsTime\n"
+)
+BYTES = "Timestamp,CAN_ID,DLC,DATA0,DATA1,DATA2,Label\n"
 BUSMASTER = "***BUSMASTER Ver 2.4.0***\n***HEX***\n"
 
 LOGS = [
@@ -60,6 +65,22 @@ LOGS = [
     ("a.csv", '"Message Number","Time (ms)","Time","ID","Data (Hex)","Length"\n'
      '"0","1.500","8:09","0x2E1","10 21 ","2"\n',
      ["0.0015 2E1#1021"], {"header": 1}),
+    # Kvaser's converter for the logs of a Memorator: error 32, sent 64, 29 bits 4, CAN FD 65536 ..
+    ("a.csv", KVASER.format("DEC", "DEC") + "0,50000;1;385;2;2;16;99;;;1;2017-08-01\n"
+     "0,60000;2;419365122;68;1;16;;;;2;\n0,70000;1;;34;;;;;;3;\n0,80000;1;385;196610;3;1;2;3;;4;\n"
+     "0,90000;1;385;3;2;;;;;5;\n", ["0.5 181#1063", "0.6 18FF0102#10 T", "0.7 20000000#",
+     "0.8 181##1010203", "0.9 181#R2"], {"header": 4, "blank": 1}),
+    ("a.csv", KVASER.format("HEX", "HEX") + "0,50000;1;181;2;2;10;99;;;1;2017-08-01\n",
+     ["0.5 181#1099"], {"header": 4, "blank": 1}),
+    # Bytes are decimal if one has three digits, and none has a letter or a zero in front.
+    ("a.csv", BYTES + "0.5,790,3,5,104,9,0\n0.6,399,1,16,,,1\n", ["0.5 316#056809", "0.6 18F#10"],
+     {"header": 1}),
+    ("a.csv", BYTES + "0.5,7e0,2,5,104,,0\n", ["0.5 7E0#0568"], {"header": 1}),
+    ("a.csv", BYTES + "0.5,790,2,5,10,,0\n0.6,790,2,5,08,,0\n", ["0.5 790#0510", "0.6 790#0508"],
+     {"header": 1}),
+    ("a.csv", "Time,Ch,Dir,State,Type,Format,ID,DL,D1,D2\n0.5,1,R,OK,Data Frm.,Ext,181,2,01,02\n"
+     "0.6,1,T,OK,Remote Frm.,Std,182,2,,\n0.7,1,R,NG,Error,Std,,0,,\n",
+     ["0.5 00000181#0102", "0.6 182#R2 T", "0.7 20000000#"], {"header": 1}),
     # BUSMASTER's own converter: numbers of one digit, bytes behind a request for data.
     ("a.log", BUSMASTER + "0:0:1:0603 Tx 1 0x150 sr 8 00 00 00 00 00 00 00 00\n"
      "0:0:2:0000 Rx 1 0x151 s 1 05\n",
@@ -216,3 +237,12 @@ def test_a_long_identifier_without_the_bit_that_marks_it(tmp_path):
     assert note == (
         "line 3: BO_ 441799690 Drive: bit 31, which marks 29 bits, is missing: read as 29 bits"
     )
+
+
+def test_what_a_spreadsheet_does_to_identifiers_is_explained(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("Time Stamp,ID,LEN,D1\n10.5,2.00E+06,1,0A\n")
+    reader = open_reader(path, strict=False)
+    assert not list(reader)
+    (problem,) = reader.problems
+    assert problem.text.startswith("2.00E+06 was a hexadecimal number before a spreadsheet")
