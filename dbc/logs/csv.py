@@ -14,39 +14,18 @@ import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
+from dbc.logs.csv_columns import UNIT, Columns, columns_of, is_header, row_pattern
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, LATEST_NS, Format, Head, Line, nanoseconds
 from dbc.logs.guesses import too_close, unit_of
 from dbc.logs.times import clock_ns, date_ns, logger_ns
 
-_NAMES: Final = {
-    "time": "timestamp time timestampepoch t abstime offset timeabs",
-    "id": "arbitrationid id canid identifier messageid msgid arbid addr address",
-    "extended": "extended ide ext isextended isextendedid xtd",
-    "remote": "remote rtr isremote isremoteframe remoteedlbrsesi",
-    "error": "error iserror iserrorframe er",
-    "fd": "fd edl isfd",
-    "brs": "brs bitrateswitch",
-    "esi": "esi errorstateindicator",
-    "dlc": "dlc dl",
-    "length": "len length datalength size",
-    "direction": "dir direction tr rxtx txrx tx",
-    "channel": "bus channel buschannel interface ch network",
-    "data": "data databytes payload bytes",
-    "type": "type",
-    "format": "format",
-    "flags": "flags",
-}
-_KIND: Final = {name: kind for kind, names in _NAMES.items() for name in names.split()}
-_BYTE: Final = re.compile(r"(?:d|b|data|byte)(\d{1,2})")
-_UNIT: Final = re.compile(r"[\[(_ ](ns|us|µs|ms|s|sec|seconds)[\])]?$")
-_HEX_TITLE: Final = re.compile(r" *\(hex\)$")
 _HEX: Final = re.compile(r"(?:[0-9A-Fa-f]{2}\s*)*")
 _UNITS_NS: Final = {"ns": 1, "us": 1000, "µs": 1000, "ms": MS}
 _WORDS: Final = {"true": True, "false": False, "1": True, "0": False, "": False, "yes": True,
@@ -54,7 +33,7 @@ _WORDS: Final = {"true": True, "false": False, "1": True, "0": False, "": False,
                  "f": False}  # fmt: skip
 _FLAGS: Final = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR, "fd": FD, "brs": BRS,
                  "esi": ESI}  # fmt: skip
-_SENT: Final = {"tx": TX, "t": TX, "1": TX, "true": TX}
+_SENT: Final = {"tx": TX, "t": TX, "1": TX, "true": TX, "send": TX, "transmit": TX}
 _FORMATS: Final = {"std": 0, "standard": 0, "ext": EXTENDED, "extended": EXTENDED}
 _NOTHING: Final = re.compile(r"^()()()(.*)$", re.MULTILINE)
 _LOGGER: Final = {"timestamp", "lost", "type", "id", "length", "data"}
@@ -75,29 +54,6 @@ _SPREADSHEET: Final = re.compile(r"\b\d[.,]\d+E\+\d+")
 _BAD_TIMES: Final = 100
 """Most unreadable times that are kept for error messages."""
 NO_DATE: Final = "stamps name a day but no month: it is taken for January 1970"
-
-
-class _Columns(NamedTuple):
-    """Columns of a header. kinds: kind of each column, see `_NAMES`; empty for unknown ones."""
-
-    separator: str
-    titles: list[str]
-    plain: list[str]
-    kinds: list[str]
-
-
-def _columns(text: str) -> _Columns | None:
-    """Columns of a header; None for any other line, such as one that begins with a digit."""
-    if text[:1].isdigit():
-        return None
-    separator = max(",;\t", key=text.count)
-    titles = [title.strip().strip('"').lower() for title in text.split(separator)]
-    titles = [_HEX_TITLE.sub("", title) for title in titles]
-    plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", title)) for title in titles]
-    kinds = [_KIND.get(name, "byte" if _BYTE.fullmatch(name) else "") for name in plain]
-    if not {"time", "id"} <= set(kinds) or not {"data", "byte"} & set(kinds):
-        return None
-    return _Columns(separator, titles, plain, kinds)
 
 
 class Csv(Format):
@@ -122,13 +78,13 @@ class Csv(Format):
 
     def changes(self, text: str) -> bool:
         """True for a header, at the start, or again in files that were concatenated."""
-        return _columns(text) is not None
+        return columns_of(text) is not None
 
     def line(self, text: str) -> Line:
         """Parse the header, a comment, or a line that does not have the header's columns."""
         if not text.strip():
             return Line(Verdict.BLANK)
-        if (columns := _columns(text)) is not None:
+        if (columns := columns_of(text)) is not None:
             self._use(columns)
             return Line(Verdict.HEADER)
         if text.lstrip(' "').startswith(("#", ";", "//", "sep=")):
@@ -140,7 +96,7 @@ class Csv(Format):
         before = self._preamble and self.regex is _NOTHING
         return Line(Verdict.HEADER if before else Verdict.MALFORMED)
 
-    def _use(self, columns: _Columns) -> None:
+    def _use(self, columns: Columns) -> None:
         """Read the lines that follow by this header."""
         separator, titles, plain, kinds = columns
         self._base64 = "arbitrationid" in plain and "data" in plain
@@ -149,10 +105,10 @@ class Csv(Format):
         self._bytes = kinds.count("byte")
         self._logger = "type" in titles and set(titles) <= _LOGGER
         title = titles[kinds.index("time")]
-        unit = _UNIT.search(title)
+        unit = UNIT.search(title)
         self._unit_ns = _UNITS_NS.get(unit[1], SECOND) if unit else 0
         self._savvycan = title == "time stamp"
-        pattern, groups = _row_pattern(separator, kinds, self._split)
+        pattern, groups = row_pattern(separator, kinds, self._split)
         tail = "" if self._split else rf"(?:{separator}[^\n]*)?"
         self.regex = re.compile(rf"^(?:{separator.join(pattern)}{tail}|(.*))$", re.MULTILINE)
         self._head = [kind for kind in groups if kind not in ("time", "data")]
@@ -333,30 +289,6 @@ def _bits(text: str) -> int:
     """Flags from Kvaser's."""
     number = int(text)
     return sum(flag for bit, flag in _KVASER_BITS if number & bit)
-
-
-def _row_pattern(separator: str, kinds: list[str], split: bool) -> tuple[list[str], list[str]]:
-    """Patterns of the columns (to the first byte if `split`), and the kinds of their groups."""
-    cell = rf'(?:"[^"\n]*"|[^"{separator}\n][^{separator}\n]*|)'
-    pattern: list[str] = []
-    groups: list[str] = []
-    for kind in kinds:
-        if kind == "byte" and split:
-            pattern.append(r"([^\n]*)")
-            return pattern, [*groups, "data"]
-        if not kind or kind in groups or kind == "byte":
-            pattern.append(cell)
-            continue
-        groups.append(kind)
-        # A time begins with a digit, unlike a header, which may occur again.
-        time = rf'[ ]*"?([-+]?\d[^{separator}"\n]*)"?[ ]*'
-        pattern.append(time if kind == "time" else f"({cell})")
-    return pattern, groups
-
-
-def is_header(text: str) -> bool:
-    """Whether a line names the columns of a log."""
-    return _columns(text) is not None
 
 
 def _bytes_of(text: str) -> bytes:

@@ -75,7 +75,7 @@ def _fits_ending(kind: str, path: Path) -> bool:
     """Whether the first lines are of the format that the ending names."""
     lines = first_lines(path)
     if kind == ".csv":
-        from dbc.logs.csv import is_header
+        from dbc.logs.csv_columns import is_header
 
         return any(is_header(line.decode("latin-1")) for line in lines)
     mark = {".asc": _ASC, ".trc": _TRC}.get(kind)
@@ -158,7 +158,7 @@ def _by_content(path: Path) -> str:
         return ".asc"
     if any(line.startswith(b";$FILEVERSION") for line in lines[:5]):
         return ".trc"
-    from dbc.logs.csv import is_header
+    from dbc.logs.csv_columns import is_header
     from dbc.logs.dialects import BUSMASTER, BUSMASTER_MARK
     from dbc.logs.proposals import recognised
 
