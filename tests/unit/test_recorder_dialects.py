@@ -9,8 +9,10 @@ from dbc.candump.reader import LogError
 from dbc.frame import EXTENDED, SECOND
 from dbc.logs.opening import open_reader
 from dbc.spec import DbcMismatch
+from dbc.text import decoded
 from dbc.tolerant import read_any_dbc
 from gateway.cli import main
+from gateway.mapping.guess import SURE, candidates
 from tests.unit.test_foreign_logs import lines_of
 from tests.unit.test_odd_logs import read, shown
 
@@ -246,3 +248,27 @@ def test_what_a_spreadsheet_does_to_identifiers_is_explained(tmp_path):
     assert not list(reader)
     (problem,) = reader.problems
     assert problem.text.startswith("2.00E+06 was a hexadecimal number before a spreadsheet")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "gb18030"])
+def test_a_dbc_of_a_chinese_editor(tmp_path, encoding):
+    text = DBC.format(512).replace('"Nm"', '"\u2103"').replace("off", "\u5173\u95ed")
+    (tmp_path / "a.dbc").write_bytes(text.encode(encoding))
+    (drive, _), notes = read_any_dbc(tmp_path / "a.dbc")
+    assert not notes
+    assert drive.signals[0].unit == "\u2103"
+    assert drive.signals[1].labels == {0: "\u5173\u95ed", 1: "on"}
+
+
+def test_western_text_is_not_taken_for_chinese():
+    text = 'SG_ A : 0|8@1+ (1,0) [0|0] "\xb0C" Gr\xf6\xdfe \xb5\xb2\xb3 F\xfc\xdfe'
+    assert decoded(text.encode("cp1252")) == text
+
+
+def test_one_character_for_degrees_celsius_is_the_unit(tmp_path):
+    text = 'BO_ 256 MCU: 8 A\n SG_ MotorTemp : 0|8@1+ (1,-40) [0|0] "\u2103" A\n'
+    (tmp_path / "a.dbc").write_text(text)
+    specs, _ = read_any_dbc(tmp_path / "a.dbc")
+    (guess,) = [guess for guesses in candidates(specs).values() for guess in guesses]
+    assert guess.quantity == "Tstator"
+    assert guess.score >= SURE
