@@ -74,8 +74,9 @@ class Entries:
         self._known: dict[int, dict[str, int]] = {}
         """By message number: the names of its signals, and the size of each in bits."""
         self._gone: set[int] = set()
-        # The list of keywords (NS_) has no effect.
-        found = [e for e in split(text.rstrip("\0\x1a \t\r\n")) if e.keyword != "NS_"]
+        # The list of keywords (NS_) and the bit rate (BS_) have no effect.
+        text = text.rstrip("\0\x1a \t\r\n")
+        found = [e for e in split(text) if e.keyword not in ("NS_", "BS_")]
         self.entries = [self._marked(e) for e in found if not self._is_foreign(e)]
         self._check_messages()
         self.entries = [new for e in self.entries if (new := self._checked(e)) is not None]

@@ -1,10 +1,13 @@
 """Text logs and CSV of further recorders, in the forms of public files; the lines are made up."""
 
 import re
+import struct
 
+import can
 import numpy as np
 import pytest
 
+from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.frame import EXTENDED, SECOND
 from dbc.logs.opening import open_reader
@@ -272,3 +275,25 @@ def test_one_character_for_degrees_celsius_is_the_unit(tmp_path):
     (guess,) = [guess for guesses in candidates(specs).values() for guess in guesses]
     assert guess.quantity == "Tstator"
     assert guess.score >= SURE
+
+
+def test_an_object_of_another_bus_in_a_blf_may_have_any_time(tmp_path):
+    path = tmp_path / "a.blf"
+    with can.BLFWriter(path, compression_level=0) as writer:
+        for k in range(2):
+            writer.on_message_received(can.Message(1e9 + k, 0x100, False, data=bytes(8)))
+    data = bytearray(path.read_bytes())
+    last = data.rindex(b"LOBJ")
+    data[last + 12 : last + 16] = struct.pack("<L", 22)  # an object of MOST
+    data[last + 24 : last + 32] = struct.pack("<Q", 1 << 62)
+    path.write_bytes(data)
+    reader = open_reader(path, strict=False)
+    assert len(list(reader)) == 1
+    assert +reader.counts == {Verdict.OK: 1, Verdict.EVENT: 1}
+
+
+def test_a_bit_rate_in_a_dbc_is_no_fault(tmp_path):
+    text = 'VERSION ""\nBS_: 500000 : 0,0\nBO_ 256 A: 8 N\n SG_ X : 0|8@1+ (1,0) [0|0] "" N\n'
+    (tmp_path / "a.dbc").write_text(text)
+    (spec,), notes = read_any_dbc(tmp_path / "a.dbc")
+    assert (spec.name, notes) == ("A", [])
