@@ -17,7 +17,8 @@ NUMBER: Final = "{us}"
 _DECIMAL: Final = r"-?\d{1,18}(?:[.,]\d*)?"
 _TIMES: Final = {
     NUMBER: rf"{_DECIMAL}(?=[\s,;])", f"[{NUMBER}]": rf"\[{_DECIMAL}\]",
-    f"({NUMBER})": rf"\({_DECIMAL}\)", f"{NUMBER}:": rf"{_DECIMAL}:\s",
+    f"({NUMBER})": rf"\({_DECIMAL}\)", f"( {NUMBER})": rf"\([ \t]+{_DECIMAL}\)",
+    f"{NUMBER}:": rf"{_DECIMAL}:\s",
     "{ns}": r"\d{19}(?=[\s,;])",
     "{clock}": r"\d{1,2}:\d\d:\d\d(?!:)", "[{clock}]": r"\[\d{1,2}:\d\d:\d\d",
     "({clock})": r"\(\d{1,2}:\d\d:\d\d", "{date}": r"\d{4}-\d\d-\d\d[T ]\d\d:",

@@ -164,6 +164,7 @@ def test_a_last_line_is_compared_with_others_of_its_identifier(tmp_path, last, c
      ("0.0{} 0x181 4 2 160 3 255", 1, "{s} {id} {dlc} {data:d}", "identifiers hexadecimal"),
      (f"0.0{{}} 1 181 Rx d 8 {BYTES}", 1, "{s} {channel} {id} {dir} d {dlc} {data}", ""),
      ("0.0{} 1 Rx 181 3 02 A0 03", 1, "{s} {channel} {dir} {id} {dlc} {data}", ""),
+     ("(    0.0{}) can0 0631A000#40A0", 1, "( {s}) {channel} {id}#{data}", ""),
      ("10:00:00.0{} can0 181 3 02 A0 03", 1, "{clock} {channel} {id} {dlc} {data}", ""),
      ("0.0{} 181 3 02 A0 03 .x.", 1, "{s} {id} {dlc} {data} {skip}", "")],
 )  # fmt: skip
