@@ -297,3 +297,10 @@ def test_a_bit_rate_in_a_dbc_is_no_fault(tmp_path):
     (tmp_path / "a.dbc").write_text(text)
     (spec,), notes = read_any_dbc(tmp_path / "a.dbc")
     assert (spec.name, notes) == ("A", [])
+
+
+def test_a_number_may_begin_with_its_point(tmp_path):
+    text = 'BO_ 256 A: 8 N\n SG_ X : 0|13@1+ (.25,-.5) [-.5|.75e1] "N.m" N\n'
+    (tmp_path / "a.dbc").write_text(text)
+    ((signal,),) = [spec.signals for spec in read_any_dbc(tmp_path / "a.dbc")[0]]
+    assert (signal.scale, signal.offset, signal.unit) == (0.25, -0.5, "N.m")
