@@ -109,7 +109,7 @@ class Csv(Format):
         self._unit_ns = _UNITS_NS.get(unit[1], SECOND) if unit else 0
         self._savvycan = title == "time stamp"
         pattern, groups = row_pattern(separator, kinds, self._split)
-        tail = "" if self._split else rf"(?:{separator}[^\n]*)?"
+        tail = "" if groups[-1] == "data" and self._split else rf"(?:{separator}[^\n]*)?"
         self.regex = re.compile(rf"^(?:{separator.join(pattern)}{tail}|(.*))$", re.MULTILINE)
         self._head = [kind for kind in groups if kind not in ("time", "data")]
         places = [groups.index("time"), *(groups.index(kind) for kind in self._head),

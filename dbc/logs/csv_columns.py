@@ -53,14 +53,23 @@ def columns_of(text: str) -> Columns | None:
 
 
 def row_pattern(separator: str, kinds: list[str], split: bool) -> tuple[list[str], list[str]]:
-    """Patterns of the columns (to the first byte if `split`), and the kinds of their groups."""
+    """Patterns of the columns, and the kinds of their groups.
+
+    If `split`, the last group is all from the first byte on: rows may end early. Time and
+    identifier may stand behind the bytes of a row that has all columns.
+    """
     cell = rf'(?:"[^"\n]*"|[^"{separator}\n][^{separator}\n]*|)'
     pattern: list[str] = []
     groups: list[str] = []
-    for kind in kinds:
+    for k, kind in enumerate(kinds):
         if kind == "byte" and split:
-            pattern.append(r"([^\n]*)")
-            return pattern, [*groups, "data"]
+            if "data" in groups:
+                continue
+            groups.append("data")
+            if not {"time", "id"} & set(kinds[k:]):
+                return [*pattern, r"([^\n]*)"], groups
+            pattern.append(f"((?:{cell}{separator}){{{kinds.count('byte') - 1}}}{cell})")
+            continue
         if not kind or kind in groups or kind == "byte":
             pattern.append(cell)
             continue

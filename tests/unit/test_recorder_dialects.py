@@ -86,6 +86,8 @@ LOGS = [
     ("a.csv", "Time,Ch,Dir,State,Type,Format,ID,DL,D1,D2\n0.5,1,R,OK,Data Frm.,Ext,181,2,01,02\n"
      "0.6,1,T,OK,Remote Frm.,Std,182,2,,\n0.7,1,R,NG,Error,Std,,0,,\n",
      ["0.5 00000181#0102", "0.6 182#R2 T", "0.7 20000000#"], {"header": 1}),
+    ("a.csv", "ID,LEN,D1,D2,D3,Time\n181,2,0A,14,,0.5\n182,3,01,02,03,0.6\n",
+     ["0.5 181#0A14", "0.6 182#010203"], {"header": 1}),
     # BUSMASTER's own converter: numbers of one digit, bytes behind a request for data.
     ("a.log", BUSMASTER + "0:0:1:0603 Tx 1 0x150 sr 8 00 00 00 00 00 00 00 00\n"
      "0:0:2:0000 Rx 1 0x151 s 1 05\n",
