@@ -28,6 +28,13 @@ _REFERENCE: Final = re.compile(r"\s*(?:VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_)
 _ABOUT: Final = re.compile(
     rf"\s*(?:CM_|BA_\s+{TEXT})\s+(BO_|SG_)\s+(\d+)(?:\s+(\w+))?|\s*BO_TX_BU_\s+(\d+)"
 )
+_NUMBER: Final = re.compile(
+    r"\s*(?:BO_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|BO_TX_BU_|(?:CM_|"
+    rf"BA_\s+{TEXT}|BA_REL_\s+{TEXT}\s+BU_(?:BO|SG)_REL_\s+\w+)\s+(?:(?:BO_|SG_)\s+)?)\s*(\d+)\b"
+)
+"""The number of the message that an entry is or refers to."""
+_ELEVEN_BITS: Final = 0x7FF
+_MARK: Final = 1 << 31
 _LONG: Final = re.compile(
     rf'\s*BA_\s+"SystemSignalLongSymbol"\s+SG_\s+(\d+)\s+(\w+)\s+({TEXT})\s*;'
 )
@@ -67,9 +74,10 @@ class Entries:
         self._known: dict[int, dict[str, int]] = {}
         """By message number: the names of its signals, and the size of each in bits."""
         self._gone: set[int] = set()
-        # The list of keywords (NS_) has no effect.
-        found = [e for e in split(text.rstrip("\0\x1a \t\r\n")) if e.keyword != "NS_"]
-        self.entries = [e for e in found if not self._is_foreign(e)]
+        # The list of keywords (NS_) and the bit rate (BS_) have no effect.
+        text = text.rstrip("\0\x1a \t\r\n")
+        found = [e for e in split(text) if e.keyword not in ("NS_", "BS_")]
+        self.entries = [self._marked(e) for e in found if not self._is_foreign(e)]
         self._check_messages()
         self.entries = [new for e in self.entries if (new := self._checked(e)) is not None]
         self._check_attributes()
@@ -128,6 +136,17 @@ class Entries:
         if name in signals:
             why = f"its {entry.keyword} (line {entry.line}) cannot be used"
             self.unusable.setdefault((number, name), why)
+
+    def _marked(self, entry: Entry) -> Entry:
+        """The entry with bit 31 in its message's number if that has more than 11 bits."""
+        match = _NUMBER.match(entry.text)
+        number = number_of(match[1]) if match else -1
+        if match is None or not _ELEVEN_BITS < number < _MARK >> 2:
+            return entry
+        if entry.keyword == "BO_":
+            self._list(entry, "bit 31, which marks 29 bits, is missing: read as 29 bits")
+        text = f"{entry.text[: match.start(1)]}{number | _MARK}{entry.text[match.end(1) :]}"
+        return entry._replace(text=text)
 
     def _is_foreign(self, entry: Entry) -> bool:
         if entry.keyword:

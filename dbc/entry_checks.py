@@ -25,6 +25,8 @@ _MULTIPLEX: Final = re.compile(
 _RANGE: Final = re.compile(r"(\d+)\s*-\s*(\d+)")
 _LABELS: Final = re.compile(rf"(\s*VAL_\s+\d+\s+\w+)((?:\s*\S+?\s*{TEXT})*)\s*;")
 _LABEL: Final = re.compile(rf"\s*(\S+?)\s*({TEXT})")
+_BARE_POINT: Final = re.compile(r"(?<!\d)\.(?=\d)")
+"""Of `.25`, which cantools does not read."""
 _NO_NODE: Final = " Vector__XXX"
 _DIGITS: Final = 300
 _MOST_BYTES, _MOST_BITS, _LAST_BIT, LAST_MUX = 64, 64, 511, 0xFFFF
@@ -98,8 +100,9 @@ def signal_of(text: str) -> Checked:
         fault = "a number too large for a double"
     elif int(marker.strip("mM")[:20] or 0) > LAST_MUX:
         fault = f"multiplexer value above {LAST_MUX}"
-    if not _RECEIVERS.fullmatch(tail):
-        text = head + _NO_NODE
+    tail = tail if _RECEIVERS.fullmatch(tail) else _NO_NODE
+    numbers, quote, unit = head.partition('"')
+    text = _BARE_POINT.sub("0.", numbers) + quote + unit + tail
     return Checked(None, name, fault, text, marker, size)
 
 

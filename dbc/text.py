@@ -15,6 +15,10 @@ MOST: Final = 1000
 MOST_BYTES: Final = 64 << 20
 """Largest configuration, scenario or DBC: a device such as /dev/zero has no end."""
 
+_CHINESE: Final = re.compile(rb"(?:[\x00-\x7f]++|(?:[\xa1-\xf7][\xa1-\xfe])++)*+")
+"""Every byte above 127 is one of a pair."""
+_SURELY_CHINESE: Final = re.compile(rb"[\x80-\xff]{4}|\xa1\xe6")
+"""Two characters side by side, or the sign for degrees Celsius: not so in a western language."""
 _COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -50,7 +54,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decoded(data: bytes) -> str:
-    """The text of a DBC: valid UTF-8, with or without a byte order mark; else cp1252.
+    """The text of a DBC: valid UTF-8, with or without a byte order mark; else GBK or cp1252.
 
     UTF-16 with a byte order mark is decoded, too.
     """
@@ -59,6 +63,8 @@ def decoded(data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
+        if _CHINESE.fullmatch(data) and _SURELY_CHINESE.search(data):
+            return data.decode("gb18030", "replace")
         # The five bytes not defined in cp1252 become replacement characters.
         return "".join(bytes([b]).decode("cp1252", "replace") if b > 127 else chr(b) for b in data)
 

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from dbc.culprits import load_rest
 from dbc.e2e import Profile
@@ -22,6 +22,14 @@ from dbc.text import decoded, read_bytes
 
 if TYPE_CHECKING:
     from cantools.database import Database
+
+
+_CONVERTED: Final = "; make one of it: `cantools convert FILE OUT.dbc`"
+_CURES: Final = {
+    ".arxml": _CONVERTED, ".kcd": _CONVERTED, ".sym": _CONVERTED,
+    ".eds": "; `check --eds` takes an EDS", ".dbf": "; BUSMASTER and canmatrix export DBF as DBC",
+}  # fmt: skip
+"""What to do with a file of another kind."""
 
 
 def read_any_dbc(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
@@ -66,7 +74,8 @@ def _read(path: Path) -> tuple[Database, Entries]:
         raise DbcMismatch(path, [f"cannot be read: {reason}"]) from None
     entries = Entries(text.replace("\r\n", "\n").replace("\r", "\n"))
     if not entries.entries:
-        raise DbcMismatch(path, ["is not a DBC: there is no entry of one in it"])
+        cure = _CURES.get(path.suffix.lower(), "")
+        raise DbcMismatch(path, [f"is not a DBC: there is no entry of one in it{cure}"])
     return load_rest(path, entries), entries
 
 

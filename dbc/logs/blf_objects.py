@@ -105,6 +105,8 @@ def frame_of(
     Raises struct.error or IndexError for an object that is too short for its kind.
     """
     header, version, _, kind = fields
+    if kind not in MOST_OF:
+        return Verdict.EVENT
     if version not in _STAMP:
         return f"an object with a header of version {version}"
     flags, _, _, raw = _STAMP[version].unpack_from(data, BASE.size)
@@ -130,11 +132,9 @@ def frame_of(
         members = ERROR_EXT.unpack_from(data, header)
         content = members[9][: min(members[5], CLASSIC_BYTES)]
         return Frame(t_ns, members[7] & 0x1FFF_FFFF, content, ERROR, _name(members[0]))
-    if kind in _ERRORS:
-        wide = kind == _ERRORS[0]
-        number = int.from_bytes(data[header : header + 2], "little") if wide else data[header]
-        return Frame(t_ns, 0, b"", ERROR, _name(number))
-    return Verdict.EVENT
+    wide = kind == _ERRORS[0]
+    number = int.from_bytes(data[header : header + 2], "little") if wide else data[header]
+    return Frame(t_ns, 0, b"", ERROR, _name(number))
 
 
 def _fd_64(t_ns: int, data: bytes, header: int) -> Frame | Verdict | str:

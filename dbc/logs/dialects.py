@@ -17,6 +17,7 @@ from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
 from dbc.logs.format import Format, Head, Line, framed
 from dbc.logs.pattern import Pattern
+from dbc.logs.recorders import CanKing, Carbus
 from dbc.logs.screen import Screen
 from dbc.logs.times import DAY_NS, Differences, clock_ns
 
@@ -24,6 +25,8 @@ CRTD: Final = "{s} {type} {id} {data}"
 BUSMASTER: Final = "{clock} {dir} {channel} {id} {type} {dlc} {data}"
 SCREEN: Final = "({s}) {channel} {id} [{dlc}] {data}"
 PRINTED: Final = "Timestamp: {s} ID: {id} {type} DL: {dlc} {data} Channel: {channel}"
+CANKING: Final = "{channel} {id} {type} {dlc} {data} {s} {dir}"
+CARBUS: Final = "{s}\t{channel}\t{skip}\t{id}\t{dlc}\t{data}\t{skip}"
 _SCREEN_DATES: Final = "({date}) {channel} {id} [{dlc}] {data}"
 DIALECTS: Final = {
     "Cascadia Motion": "{ms:x8}x{id:x8}{data}",
@@ -32,6 +35,8 @@ DIALECTS: Final = {
     "BusMaster": BUSMASTER,
     "candump on a screen, with times": SCREEN,
     "python-can's text": PRINTED,
+    "Kvaser CanKing": CANKING,
+    "CARBUS Analyzer": CARBUS,
     "GVRET": "{us} - {id} {type} {channel} {dlc} {data}",
 }
 """Name and pattern of each format that is recognised by its lines."""
@@ -40,15 +45,15 @@ BUSMASTER_MARK: Final = b"***BUSMASTER"
 _DECIMAL: Final = "{clock} {dir} {channel} {id:d} {type} {dlc} {data:d}"
 _MODE: Final = re.compile(r"\*{3}(?:(HEX|DEC)|(RELATIVE|ABSOLUTE|SYSTEM) MODE)\*{3}")
 _ERROR: Final = re.compile(
-    r"(\d{1,2}:\d\d:\d\d:\d{1,9})\s+([RT]x)\s+(\S{1,21})\s+(?:[0-9A-Fa-fxX]+\s+)?ERR\b.*"
+    r"(\d{1,2}:\d{1,2}:\d{1,2}:\d{1,9})\s+([RT]x)\s+(\S{1,21})\s+(?:[0-9A-Fa-fxX]+\s+)?ERR\b.*"
 )
-_STAMP: Final = re.compile(r"\d{1,2}:\d\d:\d\d:\d{1,9}(?=\s)")
+_STAMP: Final = re.compile(r"\d{1,2}:\d{1,2}:\d{1,2}:\d{1,9}(?=\s)")
 _NOTE: Final = re.compile(r"\d+\.\d+ +\d*C[A-Z]{2}\b")
 """A line of CRTD without a frame."""
 _KIND: Final = re.compile(r"(\d*)([RT])(11|29)")
 _BUSMASTER_KIND: Final = re.compile(r"[sx](?:r|-fd)?")
 _PRINTED_LINE: Final = re.compile(
-    r"^(?:[ \t]*Timestamp:[ \t]*(-?\d+\.\d+)[ \t]+ID:[ \t]*([0-9a-f]{3,8})[ \t]+([XS])"
+    r"^(?:[ \t]*Timestamp:[ \t]*(-?\d+\.\d+)[ \t]+ID:[ \t]*([0-9a-f]{3,8})[ \t]+([XS]|[01]{3})"
     r"((?:[ \t]+(?:[RT]x|[ERF]|BS|EI))*)[ \t]+DLC?:[ \t]*(\d{1,2})((?:[ \t]+[0-9a-f]{2})*)"
     r"(?:[ \t]+'[^\n]*')?(?:[ \t]+Channel: (\S{1,21}))?[ \t]*|(.*))$",
     re.MULTILINE,
@@ -133,7 +138,8 @@ class Printed(Format):
         Timestamp: 1.5    ID:  181    S Rx F BS    DL: 2    01 02    'ab'    Channel: can0
 
     `X`: 29 bits; `E` error, `R` remote, `F` CAN FD, `BS` BRS, `EI` ESI. Older versions print `DLC:`
-    and no direction. The data are followed by their letters and digits as text, and by the channel.
+    and no direction, and before 2.0 a digit each for remote, 29 bits and error, such as `000`. The
+    data are followed by their letters and digits as text, and by the channel.
     """
 
     regex = _PRINTED_LINE
@@ -148,7 +154,10 @@ class Printed(Format):
         for word in words.split():
             flags |= _PRINTED_FLAGS.get(word, 0)
         number, size = int(digits, 16), int(length)
-        if kind == "X" and not flags & ERROR:
+        if kind.isdecimal():
+            bits = zip((REMOTE, EXTENDED, ERROR), kind, strict=True)
+            flags = sum(flag for flag, bit in bits if bit == "1")
+        elif kind == "X" and not flags & ERROR:
             flags |= EXTENDED
         if flags & REMOTE:
             return Head(number, flags, 0, channel, size or -1)
@@ -162,7 +171,7 @@ class Printed(Format):
 
 
 _OWN: Final[dict[str, Callable[[], Format]]] = {
-    CRTD: Crtd, BUSMASTER: BusMaster, PRINTED: Printed,
+    CRTD: Crtd, BUSMASTER: BusMaster, PRINTED: Printed, CANKING: CanKing, CARBUS: Carbus,
 }  # fmt: skip
 
 
@@ -172,6 +181,9 @@ def format_of(pattern: str, lines: Sequence[str] = ()) -> Format:
     lines: the first lines of the log, for formats that cannot interpret a line by itself.
     """
     if pattern in (SCREEN, _SCREEN_DATES):
-        return Screen(lines)
+        form = Screen(lines)
+        # Times of another program may have fewer decimals.
+        fits = not lines or any(form.regex.match(line)[1] for line in lines)  # type: ignore[index]
+        return form if fits else Pattern(pattern)
     own = _OWN.get(pattern)
     return own() if own is not None else Pattern(pattern)

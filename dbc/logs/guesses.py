@@ -17,7 +17,8 @@ NUMBER: Final = "{us}"
 _DECIMAL: Final = r"-?\d{1,18}(?:[.,]\d*)?"
 _TIMES: Final = {
     NUMBER: rf"{_DECIMAL}(?=[\s,;])", f"[{NUMBER}]": rf"\[{_DECIMAL}\]",
-    f"({NUMBER})": rf"\({_DECIMAL}\)", f"{NUMBER}:": rf"{_DECIMAL}:\s",
+    f"({NUMBER})": rf"\({_DECIMAL}\)", f"( {NUMBER})": rf"\([ \t]+{_DECIMAL}\)",
+    f"{NUMBER}:": rf"{_DECIMAL}:\s",
     "{ns}": r"\d{19}(?=[\s,;])",
     "{clock}": r"\d{1,2}:\d\d:\d\d(?!:)", "[{clock}]": r"\[\d{1,2}:\d\d:\d\d",
     "({clock})": r"\(\d{1,2}:\d\d:\d\d", "{date}": r"\d{4}-\d\d-\d\d[T ]\d\d:",
@@ -36,7 +37,7 @@ _COLUMNS: Final = (
     "type id dlc data", "id type dlc data", "channel type id dlc data", "channel id type dlc data",
     "type id data", "id type data", "channel type id data", "channel id type data",
     "dir type id dlc data", "type id dir dlc data", "channel id type dir dlc data",
-    "dir id [dlc] data", "channel dir id [dlc] data",
+    "dir id [dlc] data", "channel dir id [dlc] data", "id dlc data dir",
 )  # fmt: skip
 _COLUMN: Final = re.compile(r"\b(id|dlc|data|channel|dir|skip|type)\b")
 _TYPE: Final = r"(?<![^\s,;])(?:[SX]|STD|EXT|SFF|EFF)(?![^\s,;])"
@@ -57,8 +58,12 @@ _KEY: Final = re.compile(r"(\w+)([=:]\s*)(?=\S)")
 _ROW: Final = re.compile(r"(\d+)[\s,;]+(\d+[.,]\d+)[\s,;]")
 _NUMBERED: Final = re.compile(r"^\s*\d+[\s,;]+")
 _EPOCH_DIGITS: Final = {10: "s", 13: "ms", 16: "us"}
-_STEPS: Final = ((10, "s"), (1000, "ms"), (1_000_000, "us"))
+_STEPS: Final = ((1000, "ms"), (1_000_000, "us"))
 """Unit of whole numbers whose median step between frames is below the limit; of all others ns."""
+_MOST_PER_MS = 20
+"""Most frames of one bus within 1 ms; more with the same stamp are stamped in whole seconds."""
+_LEAST_US: Final = 40
+"""Shorter than the shortest frame at 1 Mbit/s, in us."""
 
 
 def guesses(lines: Sequence[str]) -> Iterator[str]:
@@ -84,7 +89,8 @@ def guesses(lines: Sequence[str]) -> Iterator[str]:
 def variants(pattern: str) -> tuple[str, ...]:
     """The pattern with decimal bytes; if it has a length, also with a word behind the data."""
     decimal = pattern.replace("{data}", "{data:d}")
-    longer = (f"{pattern} {{skip}}",) if "{dlc}" in pattern else ()
+    sep = "," if ",{data}" in pattern else ";" if ";{data}" in pattern else " "
+    longer = (f"{pattern}{sep}{{skip}}",) if "{dlc}" in pattern else ()
     return decimal.replace("{id}", "{id:d}"), decimal, *longer
 
 
@@ -97,7 +103,18 @@ def unit_of(stamps: Sequence[str]) -> tuple[str, str]:
     steps = [abs(int(b) - int(a)) for a, b in pairwise(stamps)]
     step = median([step for step in steps if step] or [0])
     unit = next((unit for limit, unit in _STEPS if step < limit), "ns")
+    if unit == "ms" and min(steps, default=0) >= _LEAST_US and len(set(steps)) * 2 > len(steps) > 9:
+        # Frames that are stamped in ms come one right behind the other, or in equal distances.
+        unit = "us"
+    if sum(steps) * _MOST_PER_MS < len(steps):
+        unit = "s"
     return unit, f"times are whole numbers, mostly {step:g} apart: taken for {unit}"
+
+
+def too_close(stamps: Sequence[str]) -> bool:
+    """Whether these whole numbers cannot be microseconds, as frames take longer."""
+    span = abs(int(stamps[-1]) - int(stamps[0]))
+    return len(stamps) > _MOST_PER_MS and span * 2 < (len(stamps) - 1) * _LEAST_US
 
 
 def _fields(columns: str, sep: str) -> str:

@@ -82,9 +82,13 @@ class Mf4(ObjectReader):
 
     def _read(self, mdf: Any) -> Iterator[Block]:
         """Yield the frames of an open file."""
+        groups = list(self._groups(mdf))
+        if self.counts[Verdict.EVENT] and not groups:
+            why = "has no group of CAN frames (bus logging), only signals or another bus"
+            raise LogError(self.name, 0, why)
         if mdf.header.time_flags & _LOCAL_TIME:
             self.notes.append("the file's times are local, without a time zone: read as UTC")
-        yield from self._merged([_Group(mdf, k, name) for k, name in self._groups(mdf)])
+        yield from self._merged([_Group(mdf, k, name) for k, name in groups])
 
     def _whole(self, stack: ExitStack) -> Path | IO[bytes]:
         """The file; a gzip file is unpacked on disk, because asammdf needs random access.

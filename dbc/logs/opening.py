@@ -17,11 +17,17 @@ _LOOKED_AT: Final = 1 << 16
 LINES: Final = 100
 """Number of lines by which a format is recognised."""
 _ASC: Final = re.compile(rb"date\s+\S|base\s+(hex|dec)\b|begin\s+triggerblock", re.I)
+_TRC: Final = re.compile(rb";\$\w+=")
 _PACKED: Final = {
     b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"BZh": "bzip2", b"PK\3\4": "zip",
     b"7z\xbc\xaf": "7z", b"\x04\x22\x4d\x18": "lz4",
 }  # fmt: skip
 """Starts of files that none of the readers unpacks."""
+_CAPTURES: Final = (
+    b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n",
+)  # fmt: skip
+"""Starts of pcap files, in us and ns, and of pcapng."""
+_WORKBOOKS: Final = (".xlsx", ".xlsm", ".ods")
 TEXT: Final = (".asc", ".trc", ".csv")
 OTHERS: Final = (".blf", ".mf4", ".db")
 
@@ -34,12 +40,13 @@ def ending(path: Path) -> str:
 def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     """The reader of an existing file. line: a pattern of its lines (`dbc.logs.pattern`).
 
-    Raises PatternError, or LogError if no reader fits or the file is compressed, but not by gzip.
+    Raises PatternError, or LogError if no reader fits, as for a compressed file or a capture.
     """
-    _refuse_packed(path)
+    _refuse_others(path)
     kind = ending(path)
-    if not line and kind not in OTHERS and (kind not in TEXT or _is_candump(path)):
-        kind = _by_content(path)
+    if not line and kind not in OTHERS and not _fits_ending(kind, path):
+        found = _by_content(path)
+        kind = found if found or kind not in TEXT or _is_candump(path) else kind
     form = _by_pattern(line, path) if line else _format(kind, path)
     if form is not None:
         from dbc.logs.text import TextReader
@@ -50,13 +57,29 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     return Reader(path, strict=strict)
 
 
-def _refuse_packed(path: Path) -> None:
-    """Raises LogError for a file that is compressed by anything but gzip."""
+def _refuse_others(path: Path) -> None:
+    """Raises LogError for a file compressed by anything but gzip, a capture, and a workbook."""
     with path.open("rb") as stream:
         start = stream.read(8)
+    if start.startswith(_CAPTURES):
+        why = "is a capture of Wireshark (pcap): open it in SavvyCAN, and save it as CSV"
+        raise LogError(str(path), 0, why)
+    if start.startswith(b"PK") and path.suffix.lower() in _WORKBOOKS:
+        raise LogError(str(path), 0, "is a workbook of a spreadsheet: save the sheet as CSV")
     for magic, name in _PACKED.items():
         if start.startswith(magic):
             raise LogError(str(path), 0, f"is compressed ({name}): unpack it, or use gzip")
+
+
+def _fits_ending(kind: str, path: Path) -> bool:
+    """Whether the first lines are of the format that the ending names."""
+    lines = first_lines(path)
+    if kind == ".csv":
+        from dbc.logs.csv_columns import is_header
+
+        return any(is_header(line.decode("latin-1")) for line in lines)
+    mark = {".asc": _ASC, ".trc": _TRC}.get(kind)
+    return mark is not None and any(map(mark.match, lines))
 
 
 def _is_candump(path: Path) -> bool:
@@ -84,7 +107,8 @@ def _format(kind: str, path: Path) -> Callable[[], Any] | None:
     if kind == ".csv":
         from dbc.logs.csv import Csv
 
-        return Csv
+        lines = [line.decode("latin-1") for line in first_lines(path)]
+        return lambda: Csv(lines)
     if "{" in kind:
         return _by_pattern(kind, path)
     return None
@@ -134,7 +158,7 @@ def _by_content(path: Path) -> str:
         return ".asc"
     if any(line.startswith(b";$FILEVERSION") for line in lines[:5]):
         return ".trc"
-    from dbc.logs.csv import is_header
+    from dbc.logs.csv_columns import is_header
     from dbc.logs.dialects import BUSMASTER, BUSMASTER_MARK
     from dbc.logs.proposals import recognised
 

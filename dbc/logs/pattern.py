@@ -39,7 +39,7 @@ _NUMBER: Final = r"-?\d+(?:\.\d*)?"
 _BYTES: Final = r"[0-9A-Fa-f \t,;:.\-]"
 _FORMS: Final = {
     "s": _NUMBER, "ms": _NUMBER, "us": _NUMBER, "ns": r"-?\d+",
-    "clock": r"\d{1,2}:\d\d:\d\d(?:[.:,]\d{1,9})?",
+    "clock": r"\d{1,2}:\d{1,2}:\d{1,2}(?:[.:,]\d{1,9})?",
     "date": r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d{1,9})?(?:Z|[+-]\d\d:?\d\d)?",
     "id": r"(?:0[xX])?[0-9A-Fa-f]{1,8}[xXhH]?", "type": r"[A-Za-z0-9]{1,4}(?:-fd)?",
     "channel": r"[^\s,;]{1,21}", "dir": r"[A-Za-z]{1,4}", "dlc": r"[0-9A-Fa-f]{1,2}",

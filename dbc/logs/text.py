@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem, Reader
-from dbc.frame import EXTENDED, FD, SECOND
+from dbc.frame import EXTENDED, FD, REMOTE, SECOND
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import (
     CLASSIC_BYTES,
@@ -256,6 +256,8 @@ class TextReader(Reader):
                 continue
             size = len(data)
             same = size == head.length or (head.length < 0 and size <= CLASSIC_BYTES)
+            if not same and head.flags & REMOTE:  # some recorders write bytes, all of them zero
+                data, same = b"", True
             if same and not head.verdict:
                 heads[k], bodies[k] = head, data
             else:
@@ -359,7 +361,7 @@ class TextReader(Reader):
         """Shift the times forward if the log begins before 0."""
         if self._shift_ns is None:
             # A log may begin before its trigger, but candump's text, for example, has no sign.
-            seconds = max(-(times.item(0) // SECOND), 0)
+            seconds = max(-(times.min().item() // SECOND), 0)
             self._shift_ns = seconds * SECOND
             if seconds:
                 self.notes.append(f"times begin before 0: all are moved forward by {seconds} s")

@@ -52,8 +52,9 @@ def epoch_ns(moment: datetime) -> int:
 class DayTimes:
     """Times of day that continue past midnight, a step back by more than half a day."""
 
-    def __init__(self) -> None:
-        """Start on day 0."""
+    def __init__(self, day_ns: int = DAY_NS) -> None:
+        """Start on day 0. day_ns: another period, after which times begin again at 0."""
+        self._day_ns = day_ns
         self._days = 0
         self._last_ns = 0
 
@@ -62,11 +63,11 @@ class DayTimes:
         stamps = times[timed]
         if not stamps.size:
             return times
-        back = np.diff(stamps, prepend=self._last_ns) < -DAY_NS // 2
+        back = np.diff(stamps, prepend=self._last_ns) < -self._day_ns // 2
         days = self._days + np.cumsum(back)
         self._days, self._last_ns = days.item(-1), stamps.item(-1)
         moved = times.copy()
-        moved[timed] = stamps + days * DAY_NS
+        moved[timed] = stamps + days * self._day_ns
         return moved
 
 

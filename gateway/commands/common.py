@@ -101,6 +101,7 @@ def pattern_of(log: Path, line: str | None) -> str:
     from dbc.logs.opening import first_lines
     from dbc.logs.pattern import Pattern, PatternError
     from dbc.logs.proposals import proposed
+    from dbc.logs.screen import is_screen_form
     from gateway.settings.config import ConfigError
 
     if line != "auto":
@@ -113,12 +114,11 @@ def pattern_of(log: Path, line: str | None) -> str:
     found = proposed(lines)
     if found is None:
         shown_line = printable(lines[0][:80]) if lines else "(nothing that is text)"
+        cure = "write one: docs/files.md has the fields, and examples"
+        if any(map(is_screen_form, lines)):
+            cure = "its lines have no times: record with `candump -L IF`"
         raise ConfigError(
-            f"{log}: no pattern fits its first lines",
-            [
-                f"the first one: {shown_line}",
-                "write one: docs/files.md has the fields, and examples",
-            ],
+            f"{log}: no pattern fits its first lines", [f"the first one: {shown_line}", cure]
         )
     total = found.good + found.bad
     print(f"--line '{found.pattern}': fits {found.good} of {total} lines looked at")

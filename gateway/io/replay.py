@@ -259,10 +259,10 @@ def open_log(path: Path, strict: bool, line: str = "") -> Log:
     if ending(path) in OTHERS:
         leanstart.python_can()
     reader = open_reader(path, strict=strict, line=line)
-    return Log(_some(reader, path), reader)
+    return Log(_some(reader, path, line), reader)
 
 
-def _some(reader: LogReader, path: Path) -> Iterator[Block]:
+def _some(reader: LogReader, path: Path, pattern: str) -> Iterator[Block]:
     """The log's blocks. Raises BadLogError if the log has lines but none of them is a frame."""
     found = False
     for block in reader.blocks():
@@ -284,7 +284,7 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
         )
         with path.open("rb") as file:
             head = file.read(8192)
-        if b"\r" in head and b"\n" not in head:
+        if candump and b"\r" in head and b"\n" not in head:
             msg = f"{path}: its lines end in CR only; change them with `tr '\\r' '\\n'`"
             raise BadLogError(msg)
         from dbc.logs.screen import is_screen_form
@@ -293,7 +293,7 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
             msg += (
                 "; candump shows this on a screen: record with `candump -L IF` or `candump -l IF`"
             )
-        elif candump:
+        elif not pattern and reader.unit == "lines":
             msg += "; for text of another program, `--line auto` proposes a pattern of its lines"
         raise BadLogError(msg)
     if left := [f"{v.name.lower()} {n}" for v, n in reader.counts.items() if n]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
+from unicodedata import normalize
 
 from dbc.spec import MessageSpec, SignalSpec
 from gateway.settings.signal_map import CURRENTS, UNITS, VOLTAGES
@@ -164,6 +165,7 @@ def _of_signal(spec: MessageSpec, signal: SignalSpec) -> Iterator[Guess]:
 def _converted(quantity: str, unit: str) -> tuple[float, float] | None:
     """Scale and offset from a unit to ours; None if the unit is that of another quantity."""
     ours = UNITS[quantity]
+    unit = normalize("NFKC", unit)  # one character for degrees Celsius, as in Chinese files
     plain = _UNIT.sub("", unit.lower().rpartition(":")[2].replace("°", "deg"))
     if not unit.strip() or (quantity == "Irms" and plain == "arms"):
         return 1.0, 0.0
