@@ -59,7 +59,7 @@ void adhesion_reset(struct adhesion *a, double spread)
     if (a->switching)
         switching_reset(a->switching);
     a->common_mode = (struct flag){.state = FLAG_UNKNOWN, .evidence = FLAG_UNKNOWN};
-    a->common_loss = (struct common_loss){.missing_s = 0.0};
+    a->common_missing_s = 0.0;
     a->learn_ns = a->flagged_ns = NO_TIME;
     a->common = 0.0;
     a->common_smoothed = NAN;

@@ -77,7 +77,7 @@ STATE: dict[str, str] = {
     "adhesion.ratios": "",
     "adhesion.response_ratios": "",
     "adhesion.record": (
-        "response_spread spread common_mode learn_ns flagged_ns common_loss common common_smoothed"
+        "response_spread spread common_mode learn_ns flagged_ns common_missing_s common common_smoothed"
         " comparable"
     ),
     "thermal.sensors.drives": (

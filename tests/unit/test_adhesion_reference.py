@@ -138,9 +138,7 @@ class Both:
         if plain.model is not None:
             same_numbers(core.switching.loads, plain.model.loads)
             same_numbers(core.loads["regripped_s"], plain.held_s)
-            together = core.record["common_loss"]
-            same_numbers(together["least_load"], plain.together.least)
-            same_numbers(together["missing_s"], plain.together.since_s)
+            same_numbers(core.record["common_missing_s"], plain.together.since_s)
         for mine, wanted in (
             (core.rotors, plain.rotors), (core.rotor_inputs, plain.inputs),
             (core.responses, plain.responses), (core.ratios, plain.differences.drives),
