@@ -324,7 +324,7 @@ void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
     const int answered = respond_alone(a);
     const int little = follow_common(a);
     if (a->switching) {
-        judge_by_memory(a, status, little, now_ns);
+        judge_by_memory(a, status, now_ns);
     } else {
         limit_comparison(a, little);
         fuse_views(a, now_ns);

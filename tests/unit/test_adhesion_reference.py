@@ -405,7 +405,7 @@ def by_memory(**given):
         getattr(core, record)[field][0] = value
     status = np.zeros(2, DRIVE_STATUS)
     lib.judge_by_memory(
-        pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0, 0
+        pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0
     )
     return core
 
