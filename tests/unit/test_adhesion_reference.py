@@ -417,6 +417,12 @@ def test_on_the_limit_a_wheel_that_is_asked_for_nothing_turns_with_the_others(cr
     assert core.loss_probability[0] == (0.0 if abs(creep) <= 0.03 else 0.95)
 
 
+@pytest.mark.parametrize("load", [0.5, 0.4999])
+def test_on_the_limit_a_wheel_that_has_gripped_carries_the_demand(load):
+    core = by_memory(loads__load=load, loads__regripped_s=1.0, rotors__above=1)
+    assert (core.loss_probability[0] == 0.0) == (load == 0.5)
+
+
 @pytest.mark.parametrize("common", [0.2, -0.2, 0.1999])
 def test_on_the_limit_of_a_small_load_a_comparison_accuses(common):
     assert by_memory(record__common_smoothed=common).loss_known[0] == (abs(common) >= 0.2)
