@@ -78,8 +78,7 @@ static void note_missing(struct command_response *drive, const struct load_sprea
                          const struct load_ratio *ratio, double load, double least)
 {
     const double sign = drive->command > 0.0 ? 1.0 : -1.0;
-    drive->least_load = least * (1.0 - THRESHOLD);
-    drive->missing = drive->least_load - sign * load / ratio->ratio;
+    drive->missing = least * (1.0 - THRESHOLD) - sign * load / ratio->ratio;
     drive->missing_sigma = normalised_sigma(all, ratio, load, 1.0, 0.0);
 }
 

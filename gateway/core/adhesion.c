@@ -59,7 +59,7 @@ void adhesion_reset(struct adhesion *a, double spread)
     if (a->switching)
         switching_reset(a->switching);
     a->common_mode = (struct flag){.state = FLAG_UNKNOWN, .evidence = FLAG_UNKNOWN};
-    a->common_loss = (struct common_loss){.missing_s = 0.0};
+    a->common_missing_s = 0.0;
     a->learn_ns = a->flagged_ns = NO_TIME;
     a->common = 0.0;
     a->common_smoothed = NAN;
@@ -324,7 +324,7 @@ void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
     const int answered = respond_alone(a);
     const int little = follow_common(a);
     if (a->switching) {
-        judge_by_memory(a, status, little, now_ns);
+        judge_by_memory(a, status, now_ns);
     } else {
         limit_comparison(a, little);
         fuse_views(a, now_ns);

@@ -24,7 +24,6 @@
 #define COUNTS 0.5 /* least probability of adhering of a drive that counts, and of a loss of them */
 #define SHARED_ERROR 0.03 /* of all loads, as a share of the command: data sheet, inertia */
 #define MOST_MISSING 2.0  /* standard deviations by which a drive is missing more than the median */
-#define RISE_S       0.1  /* time constant with which drives follow a command that rises */
 #define STANDS       0.9  /* probability of a deficit that is real: less may be noise */
 #define LAG_S        0.01 /* a command sent so long after a deficit is later than its cause */
 #define SQRT_HALF    (1.0 / 1.4142135623730951)
@@ -33,7 +32,6 @@
 struct sums {
     struct ranking missing; /* what each is missing; their number is that of the drives */
     double command;
-    double least_load;
     double variance; /* of what is missing */
     double oldest_s; /* age of the oldest command, s */
     double each;     /* least probability of a loss; infinite if there are no drives */
@@ -47,7 +45,6 @@ static void add_drive(const struct adhesion *a, int k, struct sums *sums)
         return; /* an odd command is no evidence */
     ranking_add(&sums->missing, r->missing);
     sums->command += fabs(r->command);
-    sums->least_load += r->least_load;
     sums->variance += square(r->missing_sigma);
     sums->oldest_s = larger(sums->oldest_s, r->command_age_s);
 }
@@ -84,37 +81,24 @@ static double mean_missing(const struct sums *sums)
     return total / all->count;
 }
 
-/* The least load that a drive must carry, on average, as far as they have followed their commands. */
-static double follow_least_load(struct common_loss *loss, double least, double tick_s)
-{
-    const double risen = smaller(tick_s / RISE_S, 1.0) * (least - loss->least_load);
-    loss->least_load = smaller(loss->least_load + risen, least);
-    return loss->least_load;
-}
-
 /* Probability that the mean load is too small; 0 for a drive alone. */
-static double mean_deficit(struct common_loss *loss, const struct sums *sums, double tick_s)
+static double mean_deficit(const struct sums *sums)
 {
     const double n = sums->missing.count;
-    if (n < 2.0) {
-        loss->least_load = 0.0;
+    if (n < 2.0)
         return 0.0;
-    }
-    const double least = sums->least_load / n;
-    const double rising = least - follow_least_load(loss, least, tick_s);
     const double shared = SHARED_ERROR * sums->command / n;
     const double sigma = sqrt(sums->variance / (n * n) + square(shared));
-    return 0.5 * elementary_erfc((rising - mean_missing(sums)) / sigma * SQRT_HALF);
+    return 0.5 * elementary_erfc(-mean_missing(sums) / sigma * SQRT_HALF);
 }
 
 double follow_common_loss(struct adhesion *a)
 {
-    struct common_loss *loss = &a->common_loss;
     const struct sums sums = sum_up(a);
     const double each = sums.each >= COUNTS && sums.each <= 1.0 ? sums.each : 0.0;
-    const double mean = mean_deficit(loss, &sums, a->tick_s);
-    loss->missing_s = mean > STANDS ? loss->missing_s + a->tick_s : 0.0;
+    const double mean = mean_deficit(&sums);
+    a->common_missing_s = mean > STANDS ? a->common_missing_s + a->tick_s : 0.0;
     /* First seen in this tick, it may be a tick old, and the lag of the filters adds to that. */
-    const int confirmed = sums.oldest_s + LAG_S + a->tick_s <= loss->missing_s;
+    const int confirmed = sums.oldest_s + LAG_S + a->tick_s <= a->common_missing_s;
     return confirmed ? larger(mean, each) : each;
 }

@@ -291,8 +291,7 @@ struct command_response {
     double previous_command; /* torque command before that */
     double command_age_s;    /* time since the command was sent, s */
     double deficit_s;        /* time for which too little load has been carried, s; 0: no deficit */
-    double least_load;       /* least load that it must carry; this and the next two: if valid */
-    double missing;          /* what is missing of that */
+    double missing;          /* what is missing of the least load; this and the next: if valid */
     double missing_sigma;    /* standard deviation of `missing` */
     uint8_t usable;          /* 1: load and command are known */
     uint8_t braked;          /* 1: friction brakes are assumed to explain the missing load */
@@ -1543,12 +1542,6 @@ struct drive_load {
     uint8_t by_observer;     /* 1: the load is that of the observer */
 };
 
-/* Load that all drives together are missing (common_loss.c). */
-struct common_loss {
-    double least_load; /* mean load that they must carry, after a lag; 0: not known */
-    double missing_s;  /* time for which some of it has been missing, s; 0: nothing is */
-};
-
 /* State of the adhesion station; `adhesion_reset` sets it to nothing remembered. */
 struct adhesion {
     /* constants */
@@ -1581,11 +1574,11 @@ struct adhesion {
     struct switching *switching;        /* NULL: another detector compares the drives */
     struct flag common_mode;            /* all drives have lost adhesion at once */
     int64_t learn_ns;                   /* stamp when ratios are learnt next; NO_TIME: at once */
-    int64_t flagged_ns; /* stamp of the last tick with any adhesion flag bad; NO_TIME: none */
-    struct common_loss common_loss; /* of the detector `switching` */
-    double common;                  /* load that adhering drives share, by the detector */
-    double common_smoothed;         /* the same, smoothed */
-    uint8_t comparable;             /* 1: drives carry enough load to be compared */
+    int64_t flagged_ns;      /* stamp of the last tick with any adhesion flag bad; NO_TIME: none */
+    double common_missing_s; /* time for which all together have missed load, s (common_loss.c) */
+    double common;           /* load that adhering drives share, by the detector */
+    double common_smoothed;  /* the same, smoothed */
+    uint8_t comparable;      /* 1: drives carry enough load to be compared */
 };
 
 /* ---- Estimates by the filters (gateway/core/estimate.c) ---- */

@@ -140,7 +140,7 @@ static int rolls(const struct adhesion *a, int k)
 }
 
 /* 1 if drive k can be judged at all. */
-static int is_comparable(const struct adhesion *a, int k, double all, int little)
+static int is_comparable(const struct adhesion *a, int k, double all)
 {
     const int asked = is_asked(&a->responses[k]);
     const int idle = a->responses[k].usable && !asked;
@@ -148,7 +148,7 @@ static int is_comparable(const struct adhesion *a, int k, double all, int little
     const int behind = mine->response_valid && mine->p_response > COUNTS;
     const int low = !(fabs(a->common_smoothed) >= ACCUSING_LOAD) && !behind;
     /* A drive that is asked for nothing cannot lose anything. */
-    if (a->switching->lost[k] >= ACCUSED && (idle || ((little || low) && all == 0.0)))
+    if (a->switching->lost[k] >= ACCUSED && (idle || (low && all == 0.0)))
         return 0;
     return a->known[k] && ((a->loss_known[k] && a->comparable) || asked);
 }
@@ -253,8 +253,7 @@ static void clear_loss(struct adhesion *a, int k)
     a->loads[k].severe_loss = 0;
 }
 
-void judge_by_memory(struct adhesion *a, const struct drive_status *status, int little,
-                     int64_t now_ns)
+void judge_by_memory(struct adhesion *a, const struct drive_status *status, int64_t now_ns)
 {
     const double all = follow_common_loss(a);
     const int any = any_adheres(a), asked = any_asked(a);
@@ -274,7 +273,7 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
         double p = verdict(a, k, all, any, bad, &r->uncertain);
         follow_regrip(a, k, carries(a, k, p), bad);
         p = held_back(a, k, p, bad, uncertain);
-        a->loss_known[k] = (uint8_t)is_comparable(a, k, all, little);
+        a->loss_known[k] = (uint8_t)is_comparable(a, k, all);
         /* A drive that carries more than it is asked for is not lost either. */
         if ((now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {
             p = UNDECIDED;

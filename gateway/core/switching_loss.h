@@ -9,8 +9,7 @@ void compare_by_memory(struct adhesion *a);
 
 /* Fuse its results with the command responses of all drives, and with all that forbids a verdict.
  *
- * status: adhesion flags of the last tick; little: 1 if the common load is too small to judge. */
-void judge_by_memory(struct adhesion *a, const struct drive_status *status, int little,
-                     int64_t now_ns);
+ * status: adhesion flags of the last tick. */
+void judge_by_memory(struct adhesion *a, const struct drive_status *status, int64_t now_ns);
 
 #endif

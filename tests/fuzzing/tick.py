@@ -77,8 +77,8 @@ STATE: dict[str, str] = {
     "adhesion.ratios": "",
     "adhesion.response_ratios": "",
     "adhesion.record": (
-        "response_spread spread common_mode learn_ns flagged_ns common_loss common common_smoothed"
-        " comparable"
+        "response_spread spread common_mode learn_ns flagged_ns common_missing_s common"
+        " common_smoothed comparable"
     ),
     "thermal.sensors.drives": (
         "received_ns first_ns readings sensor.seen sensor.saturated sensor.step_count sensor.raw"

@@ -224,7 +224,6 @@ class Adhesion:
         alone, valid, each = self._alone()
         self.carried = np.array([bool(valid[k]) and alone[k] <= 0.1 for k in range(self.n)])
         compared = self._limited([0.0] * self.n, (self.known & two).tolist())
-        little = min(abs(self.smoothed), abs(self.common)) < MORE_LOAD
         usable = self.responses["usable"] == 1
         counts = np.flatnonzero(self.known & (adhering > 0.5)).tolist()
         meant = usable[self.known].all() and all(valid[k] for k in counts)
@@ -268,7 +267,7 @@ class Adhesion:
             p = self._held_back(k, p, flag[k] == Flag.BAD, uncertain)
             said = self.known[k] and (compared[k] or is_asked)
             slow = not (valid[k] and alone[k] > 0.5) and not abs(self.smoothed) >= ACCUSING_LOAD
-            bare = (usable[k] and not is_asked) or ((little or slow) and everyone == 0.0)
+            bare = (usable[k] and not is_asked) or (slow and everyone == 0.0)
             self.lost_known.append(bool(said and not (bare and lost[k] >= 0.7)))
             p = self._doubted(rotor, p, now)
             self.lost.append(p)

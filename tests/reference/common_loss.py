@@ -13,16 +13,15 @@ SHARED_ERROR: Final = 0.03
 """Of all loads, as a share of the command."""
 MOST_SIGMAS: Final = 2.0
 """A drive that lacks more than the median by as many counts as that: its command may be wrong."""
-RISE_S: Final = 0.1
 STANDS: Final = 0.9
 LAG_S: Final = 0.01
 
 
 class CommonLoss:
-    """least: mean load that must be there, after a lag; since_s: for how long some is missing."""
+    """since_s: for how long some of the load that must be there has been missing."""
 
     def __init__(self) -> None:
-        self.least = self.since_s = 0.0
+        self.since_s = 0.0
 
     def follow(self, a: Any, alone: Sequence[float], counts: Sequence[int]) -> float:
         """Probability that all lack some of their load; 0 below 0.5.
@@ -33,23 +32,21 @@ class CommonLoss:
         each = each if 0.5 <= each <= 1.0 else 0.0
         odd = a.rotors["odd_s"] > 0.0
         mine = [a.responses[k] for k in counts if not odd[k]]
-        mean = self._mean(mine, a.tick_s)
+        mean = self._mean(mine)
         self.since_s = self.since_s + a.tick_s if mean > STANDS else 0.0
         oldest = max((float(r["command_age_s"]) for r in mine), default=0.0)
         return max(mean, each) if max(oldest, 0.0) + LAG_S + a.tick_s <= self.since_s else each
 
-    def _mean(self, drives: list[Any], tick_s: float) -> float:
+    @staticmethod
+    def _mean(drives: list[Any]) -> float:
         """Probability that they lack something on average."""
         n = len(drives)
         if n < 2:
-            self.least = 0.0
             return 0.0
-        least = sum(float(r["least_load"]) for r in drives) / n
         variance = sum(float(r["missing_sigma"]) ** 2 for r in drives)
         shared = SHARED_ERROR * sum(abs(float(r["command"])) for r in drives) / n
-        self.least = min(self.least + min(tick_s / RISE_S, 1.0) * (least - self.least), least)
         lacks = sorted(float(r["missing"]) for r in drives)
         most = median_low(lacks) + MOST_SIGMAS * math.sqrt(variance / n)
         lack = sum(min(one, most) for one in lacks) / n
-        z = (least - self.least - lack) / math.sqrt(variance / (n * n) + shared * shared)
+        z = -lack / math.sqrt(variance / (n * n) + shared * shared)
         return 0.5 * float(lib.elementary_erfc(z * (1.0 / 1.4142135623730951)))

@@ -138,9 +138,7 @@ class Both:
         if plain.model is not None:
             same_numbers(core.switching.loads, plain.model.loads)
             same_numbers(core.loads["regripped_s"], plain.held_s)
-            together = core.record["common_loss"]
-            same_numbers(together["least_load"], plain.together.least)
-            same_numbers(together["missing_s"], plain.together.since_s)
+            same_numbers(core.record["common_missing_s"], plain.together.since_s)
         for mine, wanted in (
             (core.rotors, plain.rotors), (core.rotor_inputs, plain.inputs),
             (core.responses, plain.responses), (core.ratios, plain.differences.drives),
@@ -407,7 +405,7 @@ def by_memory(**given):
         getattr(core, record)[field][0] = value
     status = np.zeros(2, DRIVE_STATUS)
     lib.judge_by_memory(
-        pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0, 0
+        pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0
     )
     return core
 
@@ -417,6 +415,12 @@ def test_on_the_limit_a_wheel_that_is_asked_for_nothing_turns_with_the_others(cr
     turning = {"rotors__speed": 50.0, "rotors__slow_speed": 50.0, "rotors__creep": creep}
     core = by_memory(responses__usable=1, **turning)
     assert core.loss_probability[0] == (0.0 if abs(creep) <= 0.03 else 0.95)
+
+
+@pytest.mark.parametrize("load", [0.5, 0.4999])
+def test_on_the_limit_a_wheel_that_has_gripped_carries_the_demand(load):
+    core = by_memory(loads__load=load, loads__regripped_s=1.0, rotors__above=1)
+    assert (core.loss_probability[0] == 0.0) == (load == 0.5)
 
 
 @pytest.mark.parametrize("common", [0.2, -0.2, 0.1999])
