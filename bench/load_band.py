@@ -45,7 +45,7 @@ def loads(recording: Recording, plan: Plan) -> Loads:
     for tick, block in enumerate(recording.blocks):
         gateway.step(block, tick * config.loop.period_ns)
         drives = gateway.status.drives
-        observed = gateway.motion.motions["by_observer"]
+        observed = gateway.bank.estimates["by_observer"]
         rows.append(np.stack([*(drives[name] for name in FIELDS), observed], axis=1))
         times.append(gateway.now_ns / 1e9)
     t_s, known = np.array(times), np.array(rows)
