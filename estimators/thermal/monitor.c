@@ -36,6 +36,9 @@ static const double DRIVEN_RAD_S = 1.0;   /* rad/s, a slower motor does not turn
 static const double MOST_TESTED_S = 60.0; /* s for which others are compared with a last value */
 /* Bursts in a row that may be one departure; a sensor that is away for longer has a new level. */
 static const double MOST_BURSTS = 4.0;
+/* Share of a change of the others' residuals by which a healthy motor may differ from them: what is
+ * wrong in all models is not equally wrong in each. */
+static const double UNEQUAL = 0.1;
 
 /* Copy the available readings of a block, in order; returns their number. */
 static int readings_of(const double *values, int block, double *out)
@@ -116,7 +119,7 @@ static void summarise(const struct thermal_config *config, const struct thermal_
     }
 }
 
-/* A motor that is compared with other motors than before may differ by as much as they: shift K. */
+/* A motor may differ from those that it is compared with by shift K more than before. */
 static void widen_seen(struct thermal_motor *motor, int q, double shift)
 {
     if (!isfinite(shift))
@@ -203,6 +206,7 @@ void thermal_close_block(const struct thermal_config *config,
     for (int m = 0; m < motors; m++) {
         for (int q = 0; q < P; q++) {
             widen_seen(&motor[m], q, others[m * P + q] - motor[m].off_k[q]);
+            widen_seen(&motor[m], q, UNEQUAL * (motor[m].off_k[q] - motor[m].peers_k[q]));
             motor[m].peers_k[q] = others[m * P + q];
             motor[m].off_k[q] = motor[m].middle_k[q] - motor[m].base_k[q] - motor[m].peers_k[q];
             forget_return(&motor[m], q);

@@ -255,6 +255,17 @@ def test_without_readings_a_block_says_nothing_and_with_half_of_them_it_has_a_me
         np.testing.assert_equal(one.motors["middle_k"][0, 0], median)
 
 
+def test_what_changes_in_all_others_may_change_by_a_tenth_less_or_more_in_a_motor():
+    fleet, level = levels()
+    before = fleet.motors["imm"]["cov"].copy()
+    fleet.motors["block"][:, :, :16] = level[:, :, None] - 5.0
+    lib.thermal_monitor_close_block(fleet.pointer)
+    want = np.zeros(12)
+    want[list(model.MEASURED)] = 0.5**2
+    got = fleet.motors["imm"]["cov"] - before
+    np.testing.assert_allclose(got, np.tile(np.diag(want), (4, imm.MODES, 1, 1)), atol=1e-9)
+
+
 def test_who_is_compared_with_others_than_before_may_stand_as_much_elsewhere():
     fleet, level = levels()
     before, fleet.motors["held"][3] = fleet.motors["imm"]["cov"].copy(), True
