@@ -376,6 +376,16 @@ def test_a_likelihood_is_that_of_the_blocks_after_the_first():
     assert one.likelihood(off, np.tile(sums, (6, 1))) == pytest.approx(sum(says[1:]))
 
 
+def test_the_probabilities_of_a_motor_are_kept_while_it_is_parked():
+    one, stopped = train(1), np.linspace(0.19, 0.01, imm.MODES)
+    for speed, parked_s in ((200.0, 0.0), (0.0, 700.0)):
+        one.motors["driven_mode"], one.motors["parked_s"] = stopped, parked_s
+        sums = imm.sums_of((0.0, speed, 0.0, 0.0, 30.0), 16.0)
+        motor = judge(one, np.full(3, 0.3), sums, np.zeros(3))
+        np.testing.assert_array_equal(motor["imm"]["mode"], motor["driven_mode"])
+        assert (motor["driven_mode"][0] == stopped[0]) == (speed == 0.0)
+
+
 def test_behind_the_kinds_of_the_last_motor_nothing_is_written():
     one, kind = train(1), np.full(12, 7.0)
     one.motors["kind"], one.motors["step"]["offset_k"] = 1.0, [[0.0, 3.0, 0.0]]
