@@ -29,43 +29,27 @@ from bench import (
 )
 
 PARTS = {
-    "whole": whole,
-    "speed": speed,
-    "stages": stages,
-    "wire": wire,
-    "replay": replay,
-    "convert": convert,
-    "live": live,
-    "authentication": authentication,
-    "fleet": fleet,
-    "filters": filters,
-    "judges": judges,
-    "drives": drives,
-    "growth": growth,
-    "adhesion": adhesion,
-    "thermal": thermal,
+    "whole": (whole, "Whole processes"),
+    "speed": (speed, "Start, replay, simulation"),
+    "stages": (stages, "Where a tick's time goes"),
+    "wire": (wire, "Reading and decoding"),
+    "replay": (replay, "Replay against the libraries"),
+    "convert": (convert, "Convert against python-can"),
+    "live": (live, "Live: frames, ticks, punctuality"),
+    "authentication": (authentication, "Authenticated flags"),
+    "fleet": (fleet, "A fleet of logs"),
+    "filters": (filters, "What a step of the filters costs"),
+    "judges": (judges, "What the detectors cost"),
+    "drives": (drives, "A tick, by the number of drives"),
+    "growth": (growth, "Growth, and what a fleet costs"),
+    "adhesion": (adhesion, "Detection of random single losses of 20-100 %"),
+    "thermal": (thermal, "Thermal watch"),
 }
-TITLES = {
-    "whole": "Whole processes",
-    "speed": "Start, replay, simulation",
-    "stages": "Where a tick's time goes",
-    "wire": "Reading and decoding",
-    "replay": "Replay against the libraries",
-    "convert": "Convert against python-can",
-    "live": "Live: frames, ticks, punctuality",
-    "authentication": "Authenticated flags",
-    "fleet": "A fleet of logs",
-    "filters": "What a step of the filters costs",
-    "judges": "What the detectors cost",
-    "drives": "A tick, by the number of drives",
-    "growth": "Growth, and what a fleet costs",
-    "adhesion": "Detection of random single losses of 20-100 %",
-    "thermal": "Thermal watch",
-}
+"""Modules with `rows`, and their titles. One without a `HEADER` has this one:"""
+HEADER = ("figure", "measured", "reference in the same run", "ratio")
 
 
 def machine() -> str:
-    """What it was measured on."""
     cpu = platform.machine()
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -90,11 +74,12 @@ def main() -> None:
     text = [machine()]
     results = {}
     for name in options.part or PARTS:
-        rows = PARTS[name].rows()
-        results[name] = [dict(zip(PARTS[name].HEADER, row, strict=True)) for row in rows]
-        text += [f"\n## {TITLES[name]}\n", table(PARTS[name].HEADER, rows)]
-        if hasattr(PARTS[name], "SEE"):
-            text[-1] += f"\n\n{PARTS[name].SEE}"
+        part, title = PARTS[name]
+        rows, header = part.rows(), getattr(part, "HEADER", HEADER)
+        results[name] = [dict(zip(header, row, strict=True)) for row in rows]
+        text += [f"\n## {title}\n", table(header, rows)]
+        if hasattr(part, "SEE"):
+            text[-1] += f"\n\n{part.SEE}"
         print("\n".join(text[-2:]), flush=True)
     if options.output:
         body = (

@@ -66,12 +66,10 @@ def call_of(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> Callable[[]
 
 
 def compiled(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> float:
-    """s of it."""
     return best(call_of(kind, n, steps, sub_steps=sub_steps))
 
 
 def stacked(n: int) -> float:
-    """NumPy, all drives at once."""
     par, noise = motors_of(n)
     x, P = state_of(n)
     u, y = np.full((n, 2), 10.0), np.zeros((n, 2))
@@ -110,13 +108,11 @@ def dense(n: int) -> float:
 
 
 def library() -> float:
-    """filterpy, one drive."""
     motor, y = Motor(), np.zeros(2)
     return best(lambda: motor.step(y))
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per filter and size of fleet."""
     filterpy_s = library()
     out = [("filterpy EKF", "1", _us(filterpy_s), _us(filterpy_s), "")]
     for name in ("EKF", "UKF"):

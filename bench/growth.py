@@ -106,7 +106,6 @@ def sampling() -> Curve:
 
 
 def picture(panels: list[tuple[str, str, str, list[Curve]]], path: Path) -> None:
-    """panels: (title, x, y, curves)."""
     import matplotlib as mpl
 
     mpl.use("Agg")

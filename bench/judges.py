@@ -42,7 +42,6 @@ def loads(n: int) -> np.ndarray:
 
 
 def verdict_of(n: int) -> Callable[[], object]:
-    """One verdict over n drives."""
     evidence = Evidence(loads(n), np.full(n, SPREAD_NM), np.ones(n, dtype=np.bool_))
     return partial(VariationalDetector(), evidence)
 
@@ -53,7 +52,6 @@ def variational(n: int) -> float:
 
 
 def twin(n: int) -> float:
-    """s of the NumPy form."""
     x = loads(n)
     return best(lambda: infer(x, *starts(x, SPREAD_NM**2), DEFAULT_PRIORS))
 
@@ -123,7 +121,6 @@ def spread(n: int) -> float:
 
 
 def plain_spread(n: int) -> float:
-    """s of the NumPy twin."""
     rng = np.random.default_rng(0)
     state = reference.start(WINDOW, n, 3)
     values, present = rng.normal(60.0, 1.0, (n, 3)), np.ones((n, 3), dtype=np.bool_)
@@ -138,7 +135,6 @@ def plain_spread(n: int) -> float:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per detector and size of fleet."""
     one_mixed = library_mixed()
     out = []
     for n in FLEETS[1:]:

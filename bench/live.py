@@ -52,27 +52,22 @@ class Pair(Kernel):
     """A Unix socket pair in place of an interface."""
 
     def __init__(self) -> None:
-        """Both ends."""
         self.ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.ours.setblocking(False)
         self.ours.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE)
 
     def connect(self, channel: str, fd: bool, first: bool = False) -> socket.socket:  # noqa: ARG002
-        """Our end."""
         return self.ours
 
     def look(self, raw: socket.socket, channel: str) -> Link:  # noqa: ARG002
-        """Always up."""
         return Link(1, up=True, mtu=72)
 
     def close(self) -> None:
-        """Both ends."""
         self.ours.close()
         self.theirs.close()
 
     def swallow(self) -> None:
-        """What the gateway has sent."""
         try:
             while self.theirs.recv(72, socket.MSG_DONTWAIT):
                 pass
@@ -169,7 +164,6 @@ def sends(frames: Sequence[Frame]) -> list[tuple[str, ...]]:
 def whole_tick(
     ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int, rate_hz: int
 ) -> tuple[str, ...]:
-    """Drain, decode, estimate, decide, encode, send."""
     rows: list[dict[str, Any]] = [{"node": k} for k in range(1, drives + 1)]
     config = Config.model_validate({"drive": rows, "loop": {"rate_hz": rate_hz}})
     kernel = Pair()
@@ -230,7 +224,6 @@ def bare(period_s: float) -> list[float]:
 
 
 def ticker(period_s: float) -> list[float]:
-    """The same by ours."""
     wakes = Ticker(round(period_s * SECOND))
     first = wakes.wait().now_ns
     late = []
@@ -282,7 +275,6 @@ def _us(seconds: float) -> str:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure."""
     out = []
     with tempfile.TemporaryDirectory() as name:
         log = log_of(Path(name), "traction.dbc")

@@ -63,7 +63,6 @@ def loads(recording: Recording, plan: Plan) -> Loads:
 
 
 def together(parts: Iterable[Loads]) -> Loads:
-    """One after the other."""
     return Loads(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -89,7 +88,6 @@ def kinds_of(world: str) -> tuple[str, ...]:
 
 
 def table(worlds: Iterable[str], seeds: tuple[int, ...], jobs: int) -> Iterator[str]:
-    """Line by line."""
     kinds = [(world, name) for world in worlds for name in kinds_of(world)]
     yield "| world | kind | motor | load by | ticks | inside % | rms error Nm | sigma Nm |"
     yield "|---|---|---|---|---|---|---|---|"

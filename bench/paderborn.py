@@ -89,7 +89,6 @@ def _figures(off: Array) -> str:
 
 
 def main() -> None:
-    """Learn, judge, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, help="measures_v2.csv")
     options = parser.parse_args()

@@ -215,7 +215,6 @@ def kona_lines() -> Iterator[str]:
 
 
 def findings() -> Iterator[str]:
-    """All figures, a line each."""
     yield from icub_lines()
     yield from inverter_lines()
     yield from kona_lines()

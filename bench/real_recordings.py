@@ -88,7 +88,6 @@ def inverter(label: str) -> list[Temperatures]:
 
 
 def kona_frames() -> list[Frame]:
-    """All frames 0x523, with the log's stamps."""
     return [f for f in Reader(DATA / "kona_523.log.gz") if f.can_id == KONA_ID]
 
 

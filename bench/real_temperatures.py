@@ -10,7 +10,6 @@ from bench.real_pictures import draw
 
 
 def main() -> None:
-    """Prints every figure of docs/real_temperatures.md; draws its pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, help="directory of the pictures")
     options = parser.parse_args()

@@ -84,7 +84,6 @@ class Run(NamedTuple):
 
 @cache
 def runs() -> dict[str, Run]:
-    """All recordings, by name."""
     rows: dict[str, list[list[float]]] = {}
     with gzip.open(DATA, "rt", encoding="utf-8", newline="") as file:
         for name, *numbers in list(csv.reader(file))[1:]:
@@ -267,7 +266,6 @@ def lines(rated_a: float) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table for each rated current."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--terrain", action="store_true", help="the vehicle, not the robot")
     parser.add_argument("--rated-a", type=float, nargs="+", default=[RATED_A])

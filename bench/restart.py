@@ -86,7 +86,6 @@ class Manager:
         self.process = self.start()
 
     def close(self) -> None:
-        """End what still runs."""
         self.process.kill()
         self.process.wait()
         self._socket.close()
@@ -120,7 +119,6 @@ def restarts(environment: dict[str, str]) -> list[float]:
 
 
 def row(environment: dict[str, str]) -> tuple[str, str, str, str]:
-    """For the table of starts."""
     spent = restarts(environment)
     told = f"{median(spent):.2f} s, at most {max(spent):.2f} s" if spent else "no multicast here"
     what = "a stopped service (SIGSTOP), until its flags are back; the unit's times"

@@ -132,7 +132,6 @@ def row(case: Case, wanted: Wanted, folder: Path) -> tuple[str, float, float]:
 
 
 def given(words: list[str]) -> Iterator[Case]:
-    """LOG[:TRAIN.toml] of the command line."""
     for word in words:
         log, _, config = word.partition(":")
         yield Case(log, Path(log), prepare(Path(config) if config else None)[0])

@@ -39,7 +39,6 @@ class Recorded:
     """A log cut into ticks, and gateways for it."""
 
     def __init__(self, log: Path, codec: Codec) -> None:
-        """Read all of it."""
         self.codec = codec
         self.config = Config.model_validate({"drive": [{"node": node} for node in NODES]})
         self.frames = whole(log)
@@ -48,7 +47,6 @@ class Recorded:
         self.ends = np.searchsorted(self.frames.t_ns, self.nows, "right")
 
     def gateway(self) -> Gateway:
-        """One that has seen nothing."""
         return Gateway(self.config, self.codec, self.first)
 
     def many(self) -> list[float]:
@@ -76,7 +74,6 @@ class Recorded:
         return spent
 
     def ticks(self) -> list[tuple[Block, int]]:
-        """Frames and time of each."""
         begins = [0, *self.ends.tolist()]
         parts = zip(begins, begins[1:], self.nows.tolist(), strict=False)
         return [(self.frames.part(begin, end).ordered(), now) for begin, end, now in parts]
@@ -155,7 +152,6 @@ def _mean(turns: list[list[float]]) -> float:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per stage; the first is the whole replay."""
     with tempfile.TemporaryDirectory() as name:
         log = log_of(Path(name), "traction.dbc")
         replayed = best(partial(quiet, "replay", str(log), "-o", str(Path(name) / "out.log")))

@@ -62,7 +62,6 @@ def process(*words: str, folder: Path | None = None) -> Spent:
 
 
 def ours(*words: str) -> tuple[str, ...]:
-    """One of our commands."""
     return ("-m", "gateway", *words)
 
 
@@ -145,7 +144,6 @@ def _peak(spent: Sequence[Spent]) -> str:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure."""
     with tempfile.TemporaryDirectory() as name:
         against_chain, chain_hz = short(Path(name))
         return [*starts(), *against_chain, *long(Path(name), chain_hz)]

@@ -28,7 +28,6 @@ from gateway.core.supervision import Supervision
 from gateway.settings.config import shipped_dbc
 from tests.stations import Inbox
 
-HEADER = ("figure", "measured", "reference in the same run", "ratio")
 SECONDS: Final = 60.0
 PIECE: Final = 8192
 """Frames that are decoded together: a block of the reader."""
@@ -70,7 +69,6 @@ def log_of(folder: Path, dbc: str, seconds: float = SECONDS) -> Path:
 
 
 def whole(log: Path) -> Block:
-    """All frames of a log."""
     out = EMPTY
     for block in Reader(log).blocks():
         out = join(out, block)
@@ -78,7 +76,6 @@ def whole(log: Path) -> Block:
 
 
 def lines(log: Path) -> list[tuple[str, ...]]:
-    """Reading alone."""
     frames = whole(log).size
     ours = best(lambda: sum(block.size for block in Reader(log).blocks()), 7)
     theirs = best(lambda: sum(1 for _ in can.LogReader(log)), 2)
@@ -114,7 +111,6 @@ def _drain(packed: Path) -> None:
 
 
 def decoded(log: Path, dbc: str) -> list[tuple[str, ...]]:
-    """Decoding alone."""
     path = shipped_dbc(dbc)
     codec = bind(path, (1, 2, 3))
     frames = whole(log)
@@ -185,7 +181,6 @@ def mixed(folder: Path) -> tuple[str, ...]:
 
 
 def _taken(codec: Codec, frames: Block) -> None:
-    """Through the inbox, tick by tick."""
     inbox = Inbox(codec, (1, 2, 3), 10 * MS, Supervision((1, 2, 3), 300 * MS))
     first, last = frames.t_ns.item(0), frames.t_ns.item(-1)
     ends = np.arange(first, last + 10 * MS, 10 * MS)
@@ -230,7 +225,6 @@ def _against(
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         classic = log_of(folder, "traction.dbc")
