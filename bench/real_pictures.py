@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.real_findings import judged, kona_runs
 from bench.real_recordings import (
     BRIDGES,
     JOINTS,
@@ -24,6 +23,7 @@ from bench.real_recordings import (
     learn_inverter,
     to_accuracy,
 )
+from bench.real_temperatures import judged, kona_runs
 from dbc.frame import SECOND
 from gateway.core.codes import Flag, Reason
 from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE

@@ -1,4 +1,4 @@
-"""Recordings made by others, read and judged: what `real_findings` and `real_pictures` tell.
+"""Recordings made by others, read and judged: what `real_temperatures` and `real_pictures` tell.
 
 Recorded temperatures become the readings that our inbox would make of them: what a recording's
 own codes or status call no measurement is not available, and beyond the wire's -60 to 300 degC
