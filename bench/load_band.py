@@ -18,6 +18,7 @@ from gateway.core.codes import Health
 from gateway.core.gateway import Gateway
 from gateway.io.workers import workers
 from gateway.reports.scoring import truth_of
+from gateway.study.evaluation import load_error
 from gateway.study.evaluation_runs import Plan, Recording, fitted, recorded, seeds_of
 from gateway.study.scenarios_family import FAMILIES, GROUPS
 from gateway.study.worlds import WORLDS
@@ -52,12 +53,9 @@ def loads(recording: Recording, plan: Plan) -> Loads:
     found = []
     for k, node in enumerate(config.nodes):
         truth = truth_of(recording.truth, node)
-        true_nm = np.array([row.load_nm for row in recording.truth if row.drive == node])
         load, sigma, health, observed = known[:, k].T
-        # Load is judged in shallow losses, too.
-        counted = truth._replace(depth=np.ones_like(truth.depth)).counted(t_s)
-        good = counted & (health == Health.TRACKING) & np.isfinite(load)
-        error = load - true_nm[np.maximum(truth.at(t_s), 0)]
+        error = load_error(recording.truth, node, truth, t_s, load)
+        good = (health == Health.TRACKING) & np.isfinite(error)
         found.append(Loads(error[good], sigma[good], observed[good] > 0.0))
     return together(found)
 

@@ -31,6 +31,7 @@ from dbc.frame import MS, SECOND, Frame
 from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
 from gateway.settings.config import BENCH_MOTOR, Config, parse
+from gateway.study.held_world import phasors
 
 Array = NDArray[np.float64]
 
@@ -112,7 +113,7 @@ def frames(run: Run, codec: Codec, rated_a: float = RATED_A) -> list[Frame]:
         w = CubicSpline(run.t_s, run.speed[:, k])
         i_q = np.interp(t, run.t_s, run.effort[:, k]) / rated_a * BENCH_MOTOR.I_rated
         theta = BENCH_MOTOR.pole_pairs * w.antiderivative()(t) + k
-        out += _drive(k + 1, codec, t, _phasors(theta, i_q), (theta, w(t), i_q))
+        out += _drive(k + 1, codec, t, (theta, w(t), i_q))
     return sorted(out, key=lambda frame: frame.t_ns)
 
 
@@ -152,25 +153,11 @@ def terrain_lines() -> list[str]:
     return [header, "| --- | --- | --- | --- | --- |", *map(terrain_line, terrain())]
 
 
-def _phasors(theta: Array, i_q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Current at the end of each period and mean voltage over it, one fewer than instants."""
-    motor, along = BENCH_MOTOR, np.exp(1j * theta)
-    current = 1j * i_q * along
-    flux = motor.L_s * current + motor.psi_pm * along
-    voltage = motor.R_s * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / PERIOD_S
-    return current[1:], voltage
-
-
-def _drive(
-    node: int,
-    codec: Codec,
-    t: Array,
-    phasors: tuple[NDArray[np.complex128], NDArray[np.complex128]],
-    motion: tuple[Array, Array, Array],
-) -> list[Frame]:
+def _drive(node: int, codec: Codec, t: Array, motion: tuple[Array, Array, Array]) -> list[Frame]:
     theta, w, i_q = motion
     out = []
-    for n, (i, u) in enumerate(zip(*phasors, strict=True), 1):
+    pairs = zip(*phasors(BENCH_MOTOR, theta, i_q, PERIOD_S), strict=True)
+    for n, (i, u) in enumerate(pairs, 1):
         b = -0.5 * i.real + math.sqrt(0.75) * i.imag
         t_ns = round(t[n] * SECOND) + node * 7000
         sent = {

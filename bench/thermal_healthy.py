@@ -7,11 +7,10 @@ need more. Runs of their own: none of them is in the benchmark.
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 
+from gateway.io.workers import mapped
 from gateway.reports.scoring import stretches
 from gateway.study.evaluation_runs import seeds_of
 from gateway.study.thermal_dataset import BENCH, train
@@ -49,8 +48,7 @@ def main() -> None:
     parser.add_argument("-j", "--jobs", type=int, default=1)
     options = parser.parse_args()
     seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
-        found = [each for some in pool.map(episodes, seeds) for each in some]
+    found = [each for some in mapped(episodes, seeds, options.jobs) for each in some]
     for each in found:
         print("train {}, run {}: from {} s for {} s".format(*each))
     days = DAYS_A_TRAIN * len(seeds)

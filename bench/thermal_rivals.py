@@ -11,13 +11,12 @@ from __future__ import annotations
 import argparse
 import functools
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
+from gateway.io.workers import workers
 from gateway.study.thermal_dataset import BASES, KINDS
 from gateway.study.thermal_scores import score_alarms
 from gateway.study.thermal_trials import (
@@ -80,7 +79,7 @@ def main() -> None:
     parser.add_argument("-j", "--jobs", type=int, default=2)
     options = parser.parse_args()
     seeds = DEVELOPMENT[: options.trains]
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+    with workers(options.jobs) as pool:
         for name in options.name or GRID:
             best, least = METHODS[options.base][name], np.inf
             for _ in range(2):

@@ -18,13 +18,7 @@ from dbc.frame import Frame
 from dbc.frames import block_of
 from dbc.spec import VALID
 from gateway.core.codes import INVALID, Flag, Health
-from gateway.reports.scoring import (
-    Score,
-    everyone,
-    quantile,
-    score_flag,
-    truth_of,
-)
+from gateway.reports.scoring import Score, Truth, everyone, quantile, score_flag, truth_of
 from gateway.reports.truth import Row
 
 Array = NDArray[np.float64]
@@ -152,11 +146,7 @@ def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) ->
             raw = np.clip(np.rint(known * (LEVELS - 1)), 0, LEVELS - 1).astype(np.int64)
             levels[true] += np.bincount(raw, minlength=LEVELS)
             silent[true] += len(judged) - len(known)
-        true_nm = np.array([row.load_nm for row in rows if row.drive == node])
-        # Load errors count in shallow losses too: only edges and the start are left out.
-        settled = truth._replace(depth=np.ones_like(truth.depth))
-        counted = settled.counted(estimates.t_s)
-        error = (estimates.load_nm - true_nm[np.maximum(truth.at(estimates.t_s), 0)])[counted]
+        error = load_error(rows, node, truth, estimates.t_s, estimates.load_nm)
         error = error[np.isfinite(error)]
         square += float(error @ error)
         loads += len(error)
@@ -164,6 +154,17 @@ def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) ->
         common = score_flag(everyone(truths), output.t_s, output.common)
     flags = flags._replace(train_s=flags.train_s / len(nodes))
     return Measured(flags, common, levels, silent, square, loads)
+
+
+def load_error(rows: Sequence[Row], node: int, truth: Truth, t_s: Array, load_nm: Array) -> Array:
+    """(M,) error of a drive's estimated loads, Nm; NaN where the load is unknown or does not count.
+
+    It counts in shallow losses, too: only edges and the start are left out.
+    """
+    true_nm = np.array([row.load_nm for row in rows if row.drive == node])
+    settled = truth._replace(depth=np.ones_like(truth.depth))
+    error = load_nm - true_nm[np.maximum(truth.at(t_s), 0)]
+    return np.where(settled.counted(t_s), error, np.nan)
 
 
 class Curve(NamedTuple):

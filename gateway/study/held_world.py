@@ -31,6 +31,7 @@ from sim.scenario import Scenario, parse
 from sim.simulation import GRID, Simulation, start_angles
 
 Array = NDArray[np.float64]
+Phasors = NDArray[np.complex128]
 TICKS_PER_S: Final = 100
 STREAM: Final = 31
 RAMP_S: Final = (0.001, 0.008)
@@ -187,13 +188,10 @@ def electrical(
     out = np.empty((len(turned), scenario.drives, OUT))
     for d, theta_0 in enumerate(start_angles(scenario).tolist()):
         theta = theta_0 + motor.pole_pairs * np.concatenate([[0.0], turned[:, d]])
-        along = np.exp(1j * theta)
         i_q = torque[:, d] / (motor.k_p * motor.pole_pairs * p.psi_pm[d])
-        current = 1j * i_q * along
-        flux = p.L_s[d] * current + p.psi_pm[d] * along
-        voltage = p.R_s[d] * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / DT
+        current, voltage = phasors(p[d], theta, i_q, DT)
         row = out[:, d]
-        row[:, columns.I_ALPHA], row[:, columns.I_BETA] = current[1:].real, current[1:].imag
+        row[:, columns.I_ALPHA], row[:, columns.I_BETA] = current.real, current.imag
         row[:, columns.U_ALPHA], row[:, columns.U_BETA] = voltage.real, voltage.imag
         row[:, columns.U_DC] = motor.U_dc
         row[:, columns.TORQUE], row[:, columns.LOAD] = torque[1:, d], load[1:, d]
@@ -201,6 +199,18 @@ def electrical(
         row[:, columns.ANGLE] = theta[1:] % (2.0 * np.pi)
         row[:, columns.COMMAND] = demand[1:]
     return out
+
+
+def phasors(motor: Any, theta: Array, i_q: Array, period_s: float) -> tuple[Phasors, Phasors]:
+    """Current, A, at the end of each period and mean voltage, V, over it, stationary frame.
+
+    theta electrical rad, i_q A, (n + 1,): at the ends of the periods, and at the start.
+    """
+    along = np.exp(1j * theta)
+    current = 1j * i_q * along
+    flux = motor.L_s * current + motor.psi_pm * along
+    voltage = motor.R_s * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / period_s
+    return current[1:], voltage
 
 
 def without_status(block: Block) -> Block:
