@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import reduce
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -55,27 +56,14 @@ class Measured(NamedTuple):
 
     flags: score of the drives' flags; common: of `CommonMode`, against losses of all drives
     together. levels (2, LEVELS): number of judged estimates by truth (0 healthy, 1 lost) and
-    probability; silent (2,): of those without a probability. square_nm2, loads: sum of squared
-    load errors, and their number.
+    probability. square_nm2, loads: sum of squared load errors, and their number.
     """
 
     flags: Score
     common: Score
     levels: Ints
-    silent: Ints
     square_nm2: float
     loads: int
-
-    def plus(self, other: Measured) -> Measured:
-        """Pool both."""
-        return Measured(
-            self.flags.plus(other.flags),
-            self.common.plus(other.common),
-            self.levels + other.levels,
-            self.silent + other.silent,
-            self.square_nm2 + other.square_nm2,
-            self.loads + other.loads,
-        )
 
     @property
     def load_rmse_nm(self) -> float:
@@ -84,13 +72,10 @@ class Measured(NamedTuple):
 
 
 def pooled(runs: Iterable[Measured]) -> Measured:
-    """Pool all runs."""
-    total = Measured(
-        Score(), Score(), np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64), 0.0, 0
-    )
-    for run in runs:
-        total = total.plus(run)
-    return total
+    """Pool all runs, one or more."""
+    flags, common, levels, square_nm2, loads = zip(*runs, strict=True)
+    scores = reduce(Score.plus, flags), reduce(Score.plus, common)
+    return Measured(*scores, sum(levels), sum(square_nm2), sum(loads))
 
 
 def listen(frames: Iterable[Frame], codec: Codec, nodes: Sequence[int]) -> GatewayOutput:
@@ -133,19 +118,17 @@ def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) ->
     """Judge one run against the truth's rows."""
     truths = [truth_of(rows, node) for node in nodes]
     flags, common = Score(), Score()
-    levels, silent = np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64)
-    square, loads = 0.0, 0
+    levels, square, loads = np.zeros((2, LEVELS), np.int64), 0.0, 0
     for k, (node, truth) in enumerate(zip(nodes, truths, strict=True)):
         flags = flags.plus(score_flag(truth, output.t_s, output.flags[:, k]))
         estimates = output.estimates[k]
         counted = truth.counted(estimates.t_s)
         lost = truth.lost[truth.at(estimates.t_s)]
         for true in (0, 1):
-            judged = estimates.probability[counted & (lost == bool(true))]
-            known = judged[np.isfinite(judged)]
+            known = estimates.probability[counted & (lost == bool(true))]
+            known = known[np.isfinite(known)]
             raw = np.clip(np.rint(known * (LEVELS - 1)), 0, LEVELS - 1).astype(np.int64)
             levels[true] += np.bincount(raw, minlength=LEVELS)
-            silent[true] += len(judged) - len(known)
         error = load_error(rows, node, truth, estimates.t_s, estimates.load_nm)
         error = error[np.isfinite(error)]
         square += float(error @ error)
@@ -153,7 +136,7 @@ def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) ->
     if len(nodes) > 1:
         common = score_flag(everyone(truths), output.t_s, output.common)
     flags = flags._replace(train_s=flags.train_s / len(nodes))
-    return Measured(flags, common, levels, silent, square, loads)
+    return Measured(flags, common, levels, square, loads)
 
 
 def load_error(rows: Sequence[Row], node: int, truth: Truth, t_s: Array, load_nm: Array) -> Array:
@@ -254,7 +237,7 @@ COLUMNS: Final = (
 
 
 def row(line: Line) -> tuple[str | int | float, ...]:
-    """Numbers of one line; NaN where a number is not defined (F1 without a loss)."""
+    """Numbers of one line; NaN or infinite where it is not defined (F1 without a loss)."""
     total = line.total
     flags, common = total.flags, total.common
     lossy = flags.losses > 0
@@ -270,9 +253,9 @@ def row(line: Line) -> tuple[str | int | float, ...]:
         flags.alarms_per_hour,
         flags.losses,
         flags.missed,
-        _finite(flags.median_delay_ms),
-        _finite(quantile(flags.delays_ms, 0.9)),
-        _finite(quantile(flags.abrupt_ms, 0.5)),
+        flags.median_delay_ms,
+        quantile(flags.delays_ms, 0.9),
+        quantile(flags.abrupt_ms, 0.5),
         100.0 * flags.good_share,
         100.0 * flags.unknown_share,
         100.0 * flags.false_share,
@@ -282,10 +265,6 @@ def row(line: Line) -> tuple[str | int | float, ...]:
         roc(total.levels).area,
         reliability(total.levels).error,
         common.f1 if line.common else math.nan,
-        _finite(common.median_delay_ms) if line.common else math.nan,
+        common.median_delay_ms if line.common else math.nan,
         common.alarms_per_hour,
     )
-
-
-def _finite(value: float) -> float:
-    return value if math.isfinite(value) else math.nan
