@@ -95,9 +95,7 @@ KINDS: Final = {
     "two": Kind("one of two, no command", 2, 1, commands=False),
     "two_commands": Kind("one of two", 2, 1, commands=True),
     "twelve": Kind("four of twelve, no command", 12, 4, commands=False),
-    "rough": Kind(
-        "one of three, rough", 3, 1, commands=True, onset_s=(2.5, 3.2), rough=True
-    ),
+    "rough": Kind("one of three, rough", 3, 1, commands=True, onset_s=(2.5, 3.2), rough=True),
     "rough_mute": Kind(
         "one of three, rough, no command", 3, 1, commands=False, onset_s=(2.5, 3.2), rough=True
     ),
@@ -106,7 +104,7 @@ KINDS: Final = {
     "healthy_mute": Kind(
         "nothing lost, load steps, no command", 3, 0, commands=False, healthy=True
     ),
-}  # fmt: skip
+}
 
 
 def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
@@ -118,21 +116,18 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     at = between(rng, kind.onset_s)
     drives = kind.drives
     who = range(drives) if kind.lost is None else rng.choice(drives, kind.lost, replace=False)
-    length, depth = between(rng, LENGTH_S), between(rng, DEPTH)
+    length, depth, all_lose = between(rng, LENGTH_S), between(rng, DEPTH), kind.lost is None
     events: list[dict[str, Any]] = [
         {
-            "at_s": round(at + (0.0 if kind.lost is None else between(rng, (0.0, 0.03))), 4),
-            "for_s": length if kind.lost is None else between(rng, LENGTH_S),
-            "drive": int(d) + 1,
-            "kind": "adhesion_loss",
-            "depth": depth if kind.lost is None else between(rng, DEPTH),
-            "ramp_s": between(rng, RAMP_S),
+            "at_s": round(at + (0.0 if all_lose else between(rng, (0.0, 0.03))), 4),
+            "for_s": length if all_lose else between(rng, LENGTH_S),
+            "drive": int(d) + 1, "kind": "adhesion_loss",
+            "depth": depth if all_lose else between(rng, DEPTH), "ramp_s": between(rng, RAMP_S),
         }
         for d in who
-    ]
-    ends = [e["at_s"] + e["for_s"] for e in events]
+    ]  # fmt: skip
+    end = max((e["at_s"] + e["for_s"] for e in events), default=6.0) + TAIL_S
     # The train's demand: it stays, changes slowly, or (healthy) steps now and then.
-    end = max(ends, default=6.0) + TAIL_S
     profile = [[0.0, unit.nm(load)]]
     if kind.healthy:
         while profile[-1][0] < end - 1.0:
@@ -142,20 +137,15 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
             profile += [[round(begin, 4), profile[-1][1]], [round(begin + step, 4), level]]
     elif rng.random() < 0.5:
         profile.append([round(end, 4), round(profile[0][1] * between(rng, (0.7, 1.3)), 4)])
-    noise = 1e-2 if kind.rough else 2e-4
     table: dict[str, Any] = {
-        "title": f"held, {name} {seed}",
-        "seed": seed,
-        "drives": drives,
-        "duration_s": round(end, 4),
-        "motor": {"name": motor},
-        "motion": {"speed": speed},
+        "title": f"held, {name} {seed}", "seed": seed, "drives": drives,
+        "duration_s": round(end, 4), "motor": {"name": motor}, "motion": {"speed": speed},
         "load": {"kind": "preset", "profile": profile, "transition": "linear"}
         if len(profile) > 1
         else {"kind": "preset", "torque_nm": profile[0][1]},
-        "sensors": {"current_noise_var": unit.noise(noise)},
+        "sensors": {"current_noise_var": unit.noise(1e-2 if kind.rough else 2e-4)},
         "event": events,
-    }
+    }  # fmt: skip
     if kind.rough:
         table["load"]["share_within"] = 0.1
         table["mismatch"] = {"R_s_within": 0.2, "L_s_within": 0.05, "psi_pm_within": 0.03}
