@@ -45,15 +45,9 @@ class Ecu:
     """One drive's ECU. `index` counts drives from 0, `node` is its CANopen number."""
 
     def __init__(
-        self,
-        node: int,
-        index: int,
-        codec: Codec,
-        wire: WireFaults,
-        *,
-        self_start: bool,
+        self, node: int, index: int, codec: Codec, wire: WireFaults, *, self_start: bool,
         verifier: Verifier | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Boots at time 0. verifier: selects the authentic flag frames; None: all count."""
         self.node, self._wire = node, wire
         self.codec = codec
@@ -68,11 +62,8 @@ class Ecu:
         adhesion = codec.by_name.get("Gateway_Adhesion")
         self._adhesion = adhesion
         self._receiver = Receiver(adhesion) if adhesion else None
-        signal = next(
-            (s for s in adhesion.signals if s.name == f"Adhesion{node}") if adhesion else iter(()),
-            None,
-        )
-        self._shift = signal.start if signal else 0
+        signals = adhesion.signals if adhesion else ()
+        self._shift = next((s.start for s in signals if s.name == f"Adhesion{node}"), 0)
         self.verifier = verifier
         self._vouched = {
             spec.can_id: spec

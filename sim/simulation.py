@@ -85,16 +85,11 @@ class Simulation:
         self._schedule = Schedule(scenario, motor)
         self._profile = Profile(scenario, motor.pole_pairs)
         self._wires = [WireFaults(self._schedule, scenario.seed, k) for k in range(n)]
+        verifiers = [verifier() if verifier else None for _ in range(n)]
+        parts = enumerate(zip(self.nodes, self._wires, verifiers, strict=True))
         self._ecus = [
-            Ecu(
-                node,
-                k,
-                codec,
-                wire,
-                self_start=self_start,
-                verifier=verifier() if verifier else None,
-            )
-            for k, (node, wire) in enumerate(zip(self.nodes, self._wires, strict=True))
+            Ecu(node, k, codec, wire, self_start=self_start, verifier=own)
+            for k, (node, wire, own) in parts
         ]
         self._cycles = _cycles(self._ecus, slow=scenario.traffic == "slow")
         self._variety = Variety(scenario, motor)
@@ -173,9 +168,9 @@ class Simulation:
         t_s = _seconds(at_ns)
         if first % GRID == 0:
             self._rails = self._schedule.rails(float(t_s[0]))
-            self._plant.set_share(self._variety.share(float(t_s[0])))
-            self._plant.set_open(self._schedule.open_phase(float(t_s[0])))
-            self._plant.set_brake(self._schedule.brake(float(t_s[0])))
+            self._plant.p.share = self._variety.share(float(t_s[0]))
+            self._plant.p.phase_a_open = self._schedule.open_phase(float(t_s[0]))
+            self._plant.p.brake_nm = self._schedule.brake(float(t_s[0]))
         w_ref, w_acc, load = self._profile.at(t_s)
         cut = np.stack([ecu.cut(at_ns) for ecu in self._ecus], axis=1)
         rails = np.repeat(rail_array(self._rails)[None], count, axis=0)
@@ -345,14 +340,10 @@ def _plant(
         return None, QuasiStatic(motor, theta, load[0])
     rolling = scenario.motion.start == "rolling"
     full = Plant(
-        motor,
-        theta,
-        on_rail=scenario.load.kind == "rail",
-        w_0=w_ref[0] if rolling else 0.0,
-        load_0=load[0],
+        motor, theta, on_rail=scenario.load.kind == "rail", w_0=w_ref[0] if rolling else 0.0,
+        load_0=load[0], p=variety.p,
         train=TRAIN if scenario.motor.own else TRAINS.get(scenario.motor.name, TRAIN),
-        p=variety.p,
-    )
+    )  # fmt: skip
     return full, None
 
 
