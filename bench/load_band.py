@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from gateway.core.codes import Health
 from gateway.core.gateway import Gateway
 from gateway.io.workers import workers
@@ -23,7 +23,6 @@ from gateway.study.evaluation_runs import Plan, Recording, fitted, recorded, see
 from gateway.study.scenarios_family import FAMILIES, GROUPS
 from gateway.study.worlds import WORLDS
 
-Array = NDArray[np.float64]
 MOTORS: Final = ("bench", "traction_350kw")
 SOURCES: Final = ("filters", "observer")
 FEWEST: Final = 200
@@ -36,7 +35,7 @@ class Loads(NamedTuple):
 
     error: Array
     sigma: Array
-    observed: NDArray[np.bool_]
+    observed: Flags
 
 
 def loads(recording: Recording, plan: Plan) -> Loads:

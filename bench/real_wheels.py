@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
+from dbc.arrays import Array, Flags, Ints
 from dbc.codec import Codec, bind
 from dbc.e2e import protect
 from dbc.frame import MS, SECOND, Frame
@@ -32,8 +32,6 @@ from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
 from gateway.settings.config import BENCH_MOTOR, Config, parse
 from gateway.study.held_world import phasors
-
-Array = NDArray[np.float64]
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "wheels" / "robot.csv.gz"
 TERRAIN: Final = DATA.parent / "terrain"
@@ -131,7 +129,7 @@ def terrain() -> dict[str, Run]:
     return found
 
 
-def drives_straight(run: Run) -> NDArray[np.bool_]:
+def drives_straight(run: Run) -> Flags:
     """(ticks,): both sides turn, and alike."""
     t_s = 0.01 * np.arange(1, round(run.t_s[-1] * 100.0))
     left, right = (np.abs(np.interp(t_s, run.t_s, run.speed[:, k])) for k in (0, 1))
@@ -187,7 +185,7 @@ def config_of(run: Run) -> Config:
     })  # fmt: skip
 
 
-def judge(run: Run, rated_a: float = RATED_A) -> NDArray[np.int64]:
+def judge(run: Run, rated_a: float = RATED_A) -> Ints:
     """Flags of adhesion (ticks, N), one a tick of 10 ms."""
     config = config_of(run)
     codec = bind(config.dbc_path, config.nodes)
@@ -202,14 +200,14 @@ def judge(run: Run, rated_a: float = RATED_A) -> NDArray[np.int64]:
     return np.array(flags)
 
 
-def on_drag(run: Run) -> NDArray[np.bool_]:
+def on_drag(run: Run) -> Flags:
     """(ticks, N): which wheels are on the floor that drags, by their current over half a second."""
     mean = uniform_filter1d(run.current, 16, axis=0) > ON_DRAG_A
     at = np.searchsorted(run.t_s, 0.01 * np.arange(1, round(run.t_s[-1] * 100.0))) - 1
     return np.asarray(mean[at])
 
 
-def shares(flags: NDArray[np.int64]) -> str:
+def shares(flags: Ints) -> str:
     """Lost, adhering, unknown, in percent of these flags."""
     if not flags.size:
         return "- | - | -"
@@ -234,7 +232,7 @@ def lines(rated_a: float) -> list[str]:
         "| --- | --- | --- | --- | --- |",
     ]
     for title, names in groups().items():
-        found: dict[str, list[NDArray[np.int64]]] = {}
+        found: dict[str, list[Ints]] = {}
         for name in names:
             run = runs()[name]
             flags, drag = judge(run, rated_a), on_drag(run)

@@ -9,15 +9,12 @@ from bisect import insort
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from sim.physics import sensors, thermal
 from sim.physics.adhesion import Rail, rail
 from sim.physics.plant import DT, Motor
 from sim.scenario import Event, Scenario
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _LOSS, _CORRUPT = 4, 5
 """Purposes of the random streams."""

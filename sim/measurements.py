@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from sim.drive_spread import Variety
 from sim.faults import Schedule
 from sim.physics import plant as columns
@@ -17,7 +17,6 @@ from sim.physics import sensors, thermal
 from sim.physics.thermal import ThermalTrain
 from sim.scenario import Scenario
 
-Array = NDArray[np.float64]
 Values = dict[str, float | int | None]
 VALID = 1
 """`Quality`."""

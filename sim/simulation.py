@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
 from sim.bus_arbiter import Arbiter
@@ -34,7 +34,6 @@ from sim.scenario import NEEDS_RAIL, Event, Scenario, ScenarioError
 if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
 
-Array = NDArray[np.float64]
 PERIOD_NS: Final[Nanos] = 125_000
 BEYOND_ANY: Final = 1e9
 """A, V, Nm, rad: far above any drive's values."""
@@ -240,7 +239,7 @@ class Simulation:
             times, values = zip(*points, strict=True)
             self._heat.set_ambient(float(np.interp(t_s, times, values)))
 
-    def _depth(self, losing: NDArray[np.bool_], t_s: float) -> list[float]:
+    def _depth(self, losing: Flags, t_s: float) -> list[float]:
         """(N,) share of the demand that losses and disturbances take away now."""
         if not losing.any():
             return [0.0] * len(self.nodes)
@@ -318,11 +317,11 @@ class Simulation:
         return self._readings.status(row, history[:used].mean(axis=0), codes)
 
 
-def _seconds(t_ns: NDArray[np.int64]) -> Array:
+def _seconds(t_ns: Ints) -> Array:
     return np.asarray(t_ns * 1e-9, dtype=np.float64)
 
 
-def start_angles(scenario: Scenario) -> NDArray[np.float64]:
+def start_angles(scenario: Scenario) -> Array:
     """(N,) electrical angles of the rotors at the start, rad, drawn by the scenario's seed."""
     streams = ([scenario.seed, ANGLE_STREAM, d] for d in range(scenario.drives))
     return np.array([np.random.default_rng(s).uniform(0.0, 2.0 * math.pi) for s in streams])

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.frame import MS, Nanos
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Health, Reason
 from gateway.core.flags import FlagKind
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 EVERY_NS: Final[Nanos] = 100 * MS
 GROUP: Final = 30_000
 """Rows that are kept in memory before they are written."""
-
-Array = NDArray[np.float64]
 
 
 def _words(kind: Iterable[Any]) -> list[str]:

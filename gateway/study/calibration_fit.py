@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.model import inputs_of, predict
 from estimators.thermal.monitor import MOST_FALSE, Coverage, Known
 from estimators.thermal.record import POINTS, Record, mean_of_known
 from estimators.thermal.system_identification import first_readings
-
-Array = NDArray[np.float64]
 
 LEAST_INSIDE: Final = 0.8
 """Least share of the second half within two sigma; normal errors would be inside for 95 %."""

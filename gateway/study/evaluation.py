@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array, Ints
 from dbc.codec import Codec
 from dbc.frame import Frame
 from dbc.frames import block_of
@@ -21,9 +22,6 @@ from dbc.spec import VALID
 from gateway.core.codes import INVALID, Flag, Health
 from gateway.reports.scoring import Score, Truth, everyone, quantile, score_flag, truth_of
 from gateway.reports.truth import Row
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEVELS: Final = 201
 """Values of `LossProbability` on the wire: 0 to 100 % in steps of 0.5 %."""

@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.codec import Codec
 from dbc.frames import Block
 from gateway.study.scenarios_random import PerUnit, between, sign
@@ -30,7 +31,6 @@ from sim.profile import Profile
 from sim.scenario import Scenario, parse
 from sim.simulation import GRID, Simulation, start_angles
 
-Array = NDArray[np.float64]
 Phasors = NDArray[np.complex128]
 TICKS_PER_S: Final = 100
 STREAM: Final = 31

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.codec import Codec
 from gateway.io.extras import need
 from gateway.settings.config import ConfigError
@@ -31,7 +32,6 @@ from sim.profile import Profile
 from sim.scenario import Scenario
 from sim.simulation import start_angles
 
-Array = NDArray[np.float64]
 OVERLOAD: Final = 1.5
 """Largest torque and current, over the rated ones, as in our simulator."""
 SPEED_BANDWIDTH: Final = 60.0

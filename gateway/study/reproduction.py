@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Ints
 from estimators.detect import GLOBAL_ESTIMATES, paper, paper_vb
 from gateway.io.whole_file import write_csv
-
-Array = NDArray[np.float64]
 
 METHODS: Final = {"paper_vb": "VB", "vmp": "VMP", "kmeans": "k-means", "median": "median"}
 """Our names of the methods, and the paper's names, in the paper's order."""
@@ -58,7 +56,7 @@ class Table(NamedTuple):
     """value (4, 3, 8): methods x drives x statistics, Nm; at (4, 3, 2): index of Min and Max."""
 
     value: Array
-    at: NDArray[np.int64]
+    at: Ints
 
 
 class Cell(NamedTuple):

@@ -8,9 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dbc.arrays import Array
 from gateway.reports import page
 from gateway.study import reproduction_variants as variants
 from gateway.study.reproduction import STATISTICS, Cell, agreement
@@ -43,11 +41,11 @@ class Outcome(NamedTuple):
     seed: int
     duration_s: float
     cells: list[Cell]
-    rmse: NDArray[np.float64]
+    rmse: Array
     comparison: Comparison
     zero_locked: tuple[bool, ...]
     starts: list[StandingStart]
-    strengths: list[tuple[float, NDArray[np.float64]]]
+    strengths: list[tuple[float, Array]]
     variants: list[variants.Variant]
     networks: list[variants.NetworkRow]
 

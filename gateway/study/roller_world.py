@@ -18,8 +18,8 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from dbc.codec import Codec
 from gateway.study.held_world import LENGTH_S, TAIL_S, OtherMachine, Played, electrical, periods
 from gateway.study.scenarios_random import PerUnit, between, sign
@@ -31,7 +31,6 @@ from sim.physics.plant import CREEP_LIMIT, DT
 from sim.profile import Profile
 from sim.scenario import Scenario, parse
 
-Array = NDArray[np.float64]
 STREAM: Final = 37
 SHAPE: Final = 1.4
 """C: far beyond the peak the contact carries sin(C pi / 2) = 0.81 of the peak force."""
@@ -152,7 +151,7 @@ class Waveforms(NamedTuple):
     """
 
     rows: Array
-    slides: NDArray[np.bool_]
+    slides: Flags
     given: Array
 
 

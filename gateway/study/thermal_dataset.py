@@ -17,12 +17,11 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from gateway.study.thermal_heat import MEASURED, MOTORS, NODES, Ills, heat_record, no_ills, settled
 from sim.physics.plant import TRACTION_350KW
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 STREAM: Final = 30
@@ -95,7 +94,7 @@ class Labelled(NamedTuple):
 
     temperature: Array
     true: Array
-    at: NDArray[np.int64]
+    at: Ints
     current_square: Array
     speed: Array
     ambient: Array
@@ -104,7 +103,7 @@ class Labelled(NamedTuple):
     fault: Fault | None
 
     @property
-    def faulty(self) -> NDArray[np.bool_]:
+    def faulty(self) -> Flags:
         """(K,) whether a fault is injected."""
         label = np.zeros(len(self.at), dtype=np.bool_)
         if self.fault is not None:

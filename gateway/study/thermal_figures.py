@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE
 from gateway.study.reproduction_figures import save, subplots
-
-Array = NDArray[np.float64]
 
 COLOURS: Final = (BLUE, GREEN, "#CC79A7", ORANGE)
 """Colours of the four coaches, which differ in their dashes as well."""
@@ -38,7 +36,7 @@ class Train(NamedTuple):
     mixed: Array
     beyond: Array
     detail: Array
-    jumps: NDArray[np.bool_]
+    jumps: Flags
     maisd: Array
     limit: Array
 

@@ -8,12 +8,10 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Ints
 from sim.physics.plant import TRACTION_350KW
 from sim.records import ffi, lib, pointer
-
-Array = NDArray[np.float64]
 
 MOTORS: Final = 4
 NODES: Final = 6
@@ -76,7 +74,7 @@ def settled(square: float, speed: float, blocked: float, resistance: float, extr
 
 def heat_record(
     step_s: float, square: Array, speed: Array, unlike: tuple[Array, Array, Array], ills: Ills,
-    at: NDArray[np.int64],
+    at: Ints,
 ) -> Array:  # fmt: skip
     """Temperatures (K, M, 3) degC at the measured points; the motors have run for some hours.
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from dbc.arrays import Array, Flags
 from gateway.study import thermal_network as heat
 from gateway.study.thermal_dataset import (
     BENCH,
@@ -31,7 +31,6 @@ from gateway.study.thermal_dataset import (
 from gateway.study.thermal_network import Network, network, settle, warm
 from sim.physics.plant import TRACTION_350KW
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 STREAM: Final = 31
@@ -233,7 +232,7 @@ def _felt(t: Train, true: Array) -> Array:
     return out
 
 
-def _driven(rng: Rng, parked: NDArray[np.bool_]) -> int:
+def _driven(rng: Rng, parked: Flags) -> int:
     """Draw a motor with current: a fault in a motor without current has no effect to detect."""
     return int(rng.choice(np.flatnonzero(~parked)))
 

@@ -12,12 +12,9 @@ from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from gateway.reports.scoring import stretches
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SHOWN_K: Final = 2.0
 GONE_K: Final = 1.0
@@ -43,7 +40,7 @@ class Truth(NamedTuple):
 class Diagnosis(NamedTuple):
     """Diagnosis beside the alarm: named motor (K,), and whether the kind is right (K,)."""
 
-    motor: NDArray[np.int64]
+    motor: Ints
     kind_right: Flags
 
 

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.hypotheses import KINDS as BELIEFS
 from estimators.thermal.maisd_method import Filtering, Learnt, PaperMethod
 from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
@@ -25,8 +25,6 @@ from gateway.io.workers import mapped
 from gateway.study import thermal_dataset, thermal_other
 from gateway.study.thermal_dataset import BASES, CREEP, KINDS, SENSOR_KINDS, Base, Labelled
 from gateway.study.thermal_scores import Diagnosis, Score, Truth, score_alarms
-
-Array = NDArray[np.float64]
 
 LIMIT: Final = 0.99
 DEVELOPMENT: Final = range(30)
