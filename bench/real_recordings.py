@@ -190,9 +190,9 @@ def learn_inverter(t_s: float = LEARNT_S) -> Calibration:
     return learn(before(inverter("F0"), t_s), HALF_BRIDGES)
 
 
-def to_accuracy(calibration: Calibration, kelvin: float = ACCURACY_K) -> Calibration:
+def to_accuracy(calibration: Calibration) -> Calibration:
     """Deviation limits not below what the sensors are good for."""
-    limits = tuple(max(limit, kelvin) for limit in calibration.deviation_limit_k)
+    limits = tuple(max(limit, ACCURACY_K) for limit in calibration.deviation_limit_k)
     return calibration.model_copy(update={"deviation_limit_k": limits})
 
 

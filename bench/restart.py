@@ -63,9 +63,9 @@ class Manager:
         ready = select.select([self._socket], [], [], seconds)[0]
         return self._socket.recv(4096) if ready else b""
 
-    def until(self, word: bytes, seconds: float = 60.0) -> None:
-        """Wait for a word. Raises TimeoutError."""
-        deadline = time.monotonic() + seconds
+    def until(self, word: bytes) -> None:
+        """Wait for a word, a minute at most. Raises TimeoutError."""
+        deadline = time.monotonic() + 60.0
         while word not in self.heard(0.1):
             if time.monotonic() > deadline:
                 raise TimeoutError(word.decode())

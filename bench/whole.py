@@ -50,12 +50,10 @@ class Spent(NamedTuple):
     busy_s: float
 
 
-def process(*words: str, folder: Path | None = None) -> Spent:
-    """A process of Python, run in that folder. Raises AssertionError unless it ends with 0."""
+def process(*words: str) -> Spent:
+    """A process of Python. Raises AssertionError unless it ends with 0."""
     command = [sys.executable, "-I", "-S", "-c", _MEASURE, sys.executable, *words]
-    done = subprocess.run(
-        command, check=True, capture_output=True, text=True, env=as_installed(), cwd=folder
-    )
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=as_installed())
     seconds, peak, busy, code = json.loads(done.stdout)
     assert code == 0, (words, done.stderr)
     return Spent(seconds, peak, busy)

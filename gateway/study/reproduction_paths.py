@@ -126,7 +126,9 @@ def compare(paths: Sequence[Course], truth: Course) -> Comparison:
         for belief in dict.fromkeys(p.belief for p in paths)
         if way.name.endswith("bus")
     ]
-    starts = {(p.way, p.belief): _known_from(p) for p in paths}
+    starts = {
+        (p.way, p.belief): int(p.t_ns[np.argmax(np.isfinite(p.load).all(axis=1))]) for p in paths
+    }
     first = int(instants[np.argmax(known)])
     return Comparison(first, int(np.count_nonzero(known)), seen, delays, starts)
 
@@ -146,11 +148,6 @@ def _delay(bus: Course, without: Course) -> Delay:
             age = float(np.mean(t_ns - without.t_ns[k]))
             best = best._replace(age_ns=age, rest_nm=rest)
     return best
-
-
-def _known_from(path: Course) -> int:
-    known = np.isfinite(path.load).all(axis=1)
-    return int(path.t_ns[np.argmax(known)])
 
 
 def write_paths(path: Path, comparison: Comparison) -> None:

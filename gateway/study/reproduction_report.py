@@ -81,7 +81,7 @@ def _head(outcome: Outcome) -> list[str]:
         "Three drives, 20000 samples of 125 us, simulated by this project's plant, filtered by its "
         "EKF, judged by its form of the paper's four methods. Drive 1 (PMSM1) loses its load in "
         "samples 500-1500 and 10000-12000 and a part of it in 17000-18000.",
-        f"Of Table 1, {agreement(outcome.cells).text()}; percent of the printed value, "
+        f"Of Table 1, {agreement(outcome.cells)}; percent of the printed value, "
         "the larger counts. Load error (root mean square) of drives 1 to 3: "
         + ", ".join(number(v) for v in outcome.rmse.tolist())
         + " Nm with the paper's Q.",

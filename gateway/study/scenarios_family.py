@@ -121,7 +121,7 @@ def _steady(rng: Rng, unit: PerUnit) -> Table:
 
 
 def _single(seed: int, _rng: Rng, unit: PerUnit) -> Scenario:
-    return random_scenario(seed, motor=unit.name)
+    return random_scenario(seed, unit.name)
 
 
 def _several(rng: Rng, unit: PerUnit, among: int, count: int) -> Table:

@@ -61,8 +61,8 @@ def sign(rng: np.random.Generator) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def random_scenario(seed: int, *, healthy: bool = False, motor: str = "bench") -> Scenario:
-    """One run: rolling start with unknown angles, one loss on one drive (none if `healthy`).
+def random_scenario(seed: int, motor: str = "bench") -> Scenario:
+    """One run: rolling start with unknown angles, one loss on one drive.
 
     Uniform draws: speed 40-250 electrical rad/s and load 8-30 Nm, each of either sign; depth
     0.2-1, length 0.1-2 s, onset 0.8-1.6 s, linear edges of 0-20 ms, any of three drives, whose
@@ -80,10 +80,10 @@ def random_scenario(seed: int, *, healthy: bool = False, motor: str = "bench") -
     }  # fmt: skip
     title = f"random {seed}: {speed:.0f} rad/s, {unit.nm(load):.1f} Nm"
     table = {
-        "title": title if healthy else f"{title}, {depth:.0%} of drive {drive} for {length:.2f} s",
+        "title": f"{title}, {depth:.0%} of drive {drive} for {length:.2f} s",
         "seed": seed, "duration_s": round(onset + length + TAIL_S, 4), "drives": 3,
         "motor": {"name": motor}, "motion": {"speed": round(float(speed), 3)},
         "load": {"kind": "preset", "torque_nm": unit.nm(load)},
-        "sensors": {"current_noise_var": unit.noise(2e-4)}, "event": [] if healthy else [event],
+        "sensors": {"current_noise_var": unit.noise(2e-4)}, "event": [event],
     }  # fmt: skip
     return parse(table, f"random {seed}")
