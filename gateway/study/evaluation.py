@@ -238,31 +238,16 @@ def row(line: Line) -> tuple[str | int | float, ...]:
     """Numbers of one line; NaN or infinite where it is not defined (F1 without a loss)."""
     total = line.total
     flags, common = total.flags, total.common
-    lossy = flags.losses > 0
-    return (
-        line.family,
-        line.detector,
-        len(line.runs),
-        flags.f1 if lossy else math.nan,
-        *line.spread(),
-        flags.uncut_f1 if lossy else math.nan,
-        flags.precision if lossy else math.nan,
-        flags.recall if lossy else math.nan,
-        flags.alarms_per_hour,
-        flags.losses,
-        flags.missed,
-        flags.median_delay_ms,
-        quantile(flags.delays_ms, 0.9),
-        quantile(flags.abrupt_ms, 0.5),
-        100.0 * flags.good_share,
-        100.0 * flags.unknown_share,
-        100.0 * flags.false_share,
-        100.0 * flags.dangerous_share if lossy else math.nan,
-        total.load_rmse_nm,
-        100.0 * total.load_rmse_nm / line.rated_nm,
-        roc(total.levels).area,
-        reliability(total.levels).error,
-        common.f1 if line.common else math.nan,
-        common.median_delay_ms if line.common else math.nan,
-        common.alarms_per_hour,
+    of_losses = flags.f1, flags.uncut_f1, flags.precision, flags.recall, flags.dangerous_share
+    f1, uncut_f1, precision, recall, dangerous_share = (
+        value if flags.losses else math.nan for value in of_losses
     )
+    return (
+        line.family, line.detector, len(line.runs), f1, *line.spread(), uncut_f1, precision, recall,
+        flags.alarms_per_hour, flags.losses, flags.missed, flags.median_delay_ms,
+        quantile(flags.delays_ms, 0.9), quantile(flags.abrupt_ms, 0.5), 100.0 * flags.good_share,
+        100.0 * flags.unknown_share, 100.0 * flags.false_share, 100.0 * dangerous_share,
+        total.load_rmse_nm, 100.0 * total.load_rmse_nm / line.rated_nm, roc(total.levels).area,
+        reliability(total.levels).error, common.f1 if line.common else math.nan,
+        common.median_delay_ms if line.common else math.nan, common.alarms_per_hour,
+    )  # fmt: skip
