@@ -16,7 +16,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from sklearn.mixture import BayesianGaussianMixture, GaussianMixture
 
-from bench.filters import best
+from bench.filters import best, ns, us
 from estimators import maisd
 from estimators.detect import Evidence, VariationalDetector
 from estimators.detect.variational import DEFAULT_PRIORS
@@ -143,7 +143,7 @@ def rows() -> list[tuple[str, ...]]:
     for n in FLEETS:
         spent = sigma_mixed(n)
         out.append((
-            "sigma-mixed UKF, a sample", str(n), _us(spent), _ns(spent / n),
+            "sigma-mixed UKF, a sample", str(n), us(spent), ns(spent / n, 0),
             f"filterpy + scikit-learn {one_mixed * n / spent:.0f} x",
         ))  # fmt: skip
     out += [_row("MAISD, a sample", n, spread(n), [("NumPy twin", plain_spread)]) for n in FLEETS]
@@ -154,12 +154,4 @@ def _row(
     what: str, n: int, spent: float, against: list[tuple[str, Callable[[int], float]]]
 ) -> tuple[str, ...]:
     said = ", ".join(f"{name} {theirs(n) / spent:.0f} x" for name, theirs in against)
-    return what, str(n), _us(spent), _ns(spent / n), said
-
-
-def _us(seconds: float) -> str:
-    return f"{1e6 * seconds:.2f} us"
-
-
-def _ns(seconds: float) -> str:
-    return f"{1e9 * seconds:.0f} ns"
+    return what, str(n), us(spent), ns(spent / n, 0), said

@@ -20,7 +20,7 @@ import cantools
 import numpy as np
 from can.interfaces.socketcan.socketcan import capture_message
 
-from bench.filters import call_of
+from bench.filters import call_of, us
 from bench.judges import verdict_of
 from bench.wire import log_of, whole
 from dbc.codec import Codec, bind
@@ -73,6 +73,15 @@ class Pair(Kernel):
                 pass
         except BlockingIOError:
             pass
+
+
+def quantiles(spent: Sequence[float]) -> np.ndarray:
+    """50, 99 and 99.9 % of times, s."""
+    return np.quantile(spent, (0.5, 0.99, 0.999))
+
+
+def texts(seconds: np.ndarray, digits: int = 0) -> list[str]:
+    return [us(value, digits) for value in seconds]
 
 
 def ticks_of(log: Path, codec: Codec, drives: int, period_ns: int) -> list[list[Frame]]:
@@ -155,8 +164,7 @@ def sends(frames: Sequence[Frame]) -> list[tuple[str, ...]]:
                 kernel.swallow()
     out = []
     for result, what in ((SendResult.SENT, "a frame sent"), (SendResult.FULL, "the queue is full")):
-        quantiles = np.quantile(taken[result], (0.5, 0.99, 0.999)).tolist()
-        out.append((what, *(f"{1e6 * q:.1f} us" for q in quantiles), "", ""))
+        out.append((what, *texts(quantiles(taken[result]), 1), "", ""))
     kernel.close()
     return out
 
@@ -185,12 +193,10 @@ def whole_tick(
             spent.append(time.perf_counter() - began)
             if number % 5 == 0:
                 kernel.swallow()
-    settled = np.array(spent[len(spent) // 6 :])
-    p50, p99, p999 = np.quantile(settled, (0.5, 0.99, 0.999)).tolist()
-    return (
-        f"whole tick, {drives} drives, {rate_hz} Hz", _us(p50), _us(p99), _us(p999),
-        f"p99 {100.0 * p99 * rate_hz:.1f} %, p99.9 {100.0 * p999 * rate_hz:.1f} %", "",
-    )  # fmt: skip
+    q = quantiles(spent[len(spent) // 6 :])
+    _, p99, p999 = 100.0 * rate_hz * q
+    what = f"whole tick, {drives} drives, {rate_hz} Hz"
+    return what, *texts(q), f"p99 {p99:.1f} %, p99.9 {p999:.1f} %", ""
 
 
 def alone(drives: int) -> tuple[str, ...]:
@@ -205,11 +211,8 @@ def alone(drives: int) -> tuple[str, ...]:
             filters()
             judge()
             spent.append(time.perf_counter() - began)
-    p50, p99, p999 = np.quantile(spent, (0.5, 0.99, 0.999)).tolist()
-    return (
-        f"EKF and VB alone, {drives} drives, a tick of 100 Hz", _us(p50), _us(p99), _us(p999),
-        f"p99 {100.0 * p99 * 100:.1f} %", "",
-    )  # fmt: skip
+    q, what = quantiles(spent), f"EKF and VB alone, {drives} drives, a tick of 100 Hz"
+    return what, *texts(q), f"p99 {100.0 * q[1] * 100:.1f} %", ""
 
 
 def bare(period_s: float) -> list[float]:
@@ -262,16 +265,10 @@ def lateness() -> list[tuple[str, ...]]:
 def _late(what: str, loop: Callable[[float], list[float]], period_s: float) -> tuple[str, ...]:
     gc.collect()
     reference = np.quantile(bare(period_s), 0.99).item()
-    p50, p99, p999 = np.quantile(loop(period_s), (0.5, 0.99, 0.999)).tolist()
-    ratio = p99 / reference if reference > 0.0 else math.nan
-    return (
-        what, _us(p50), _us(p99), _us(p999), f"p99 {100.0 * p99 / period_s:.1f} %",
-        f"bare loop p99 {_us(reference)}: {ratio:.2f}",
-    )  # fmt: skip
-
-
-def _us(seconds: float) -> str:
-    return f"{1e6 * seconds:.0f} us"
+    q = quantiles(loop(period_s))
+    ratio = q[1] / reference if reference > 0.0 else math.nan
+    compared = f"bare loop p99 {us(reference, 0)}: {ratio:.2f}"
+    return what, *texts(q), f"p99 {100.0 * q[1] / period_s:.1f} %", compared
 
 
 def rows() -> list[tuple[str, ...]]:
