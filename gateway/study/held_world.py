@@ -158,12 +158,17 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
 
 def waveforms(scenario: Scenario) -> Array:
     """Rows (n, N, 10) of a whole run, columns `sim.physics.plant.OUT`."""
-    motor = scenario.motor.machine
-    variety = Variety(scenario, motor)
-    t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
-    w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
-    load = demand[:, None] * variety.share(0.0) * Schedule(scenario, motor).carry(t_s, demand)
+    variety, (w_ref, _, demand), carried = courses(scenario, periods(scenario) + 1)
+    load = demand[:, None] * variety.share(0.0) * carried
     return electrical(scenario, variety, w_ref[:, None] / variety.p.wheel, load, load, demand)
+
+
+def courses(scenario: Scenario, n: int) -> tuple[Variety, tuple[Array, Array, Array], Array]:
+    """Drives of a run, `Profile.at` and (n, N) share that the rail carries at n instants."""
+    motor = scenario.motor.machine
+    t_s: Array = DT * np.arange(n, dtype=np.float64)
+    profile = Profile(scenario, motor.pole_pairs).at(t_s)
+    return Variety(scenario, motor), profile, Schedule(scenario, motor).carry(t_s, profile[2])
 
 
 def electrical(

@@ -160,15 +160,20 @@ def clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:
     return out
 
 
-def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
-    """Factors (L, M) that wander around a constant of each motor, with the base's memory."""
-    keep = np.exp(-base.step_s / base.memory_s)
-    white = rng.standard_normal((steps, MOTORS))
-    white[0] /= np.sqrt(1.0 - keep**2)
+def wandering(rng: Rng, shape: tuple[int, ...], memory: float) -> Array:
+    """Random course with standard deviation 1, clipped to 2.5, and this time constant in steps."""
     from scipy.signal import lfilter
 
-    wander = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0)
-    return np.asarray(1.0 + sigma * (clipped(own, MOTORS) + np.clip(wander, -2.5, 2.5)) / 1.5)
+    keep = np.exp(-1.0 / memory)
+    white = rng.standard_normal(shape)
+    white[0] /= np.sqrt(1.0 - keep**2)
+    return np.clip(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0), -2.5, 2.5)
+
+
+def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
+    """Factors (L, M) that wander around a constant of each motor, with the base's memory."""
+    wander = wandering(rng, (steps, MOTORS), base.memory_s / base.step_s)
+    return np.asarray(1.0 + sigma * (clipped(own, MOTORS) + wander) / 1.5)
 
 
 def _ageing(rng: Rng, most: float, steps: int) -> Array:
