@@ -38,10 +38,7 @@ def _words(kind: Iterable[Any]) -> list[str]:
 
 _WORDS: Final[dict[str, list[str]]] = {
     "adhesion": list(ADHESION.values()),
-    "thermal": list(FAULT.values()),
-    "sensor": list(FAULT.values()),
-    "comm": list(FAULT.values()),
-    "estimator": list(FAULT.values()),
+    **{flag: list(FAULT.values()) for flag in ("thermal", "sensor", "comm", "estimator")},
     "reason": _words(Reason),
     "health": _words(Health),
     "fault_class": _words(FaultClass),
