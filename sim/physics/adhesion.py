@@ -18,8 +18,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-
-from dbc.arrays import Array
+from numpy.typing import NDArray
 
 SPEED_FLOOR_M_S: Final = 0.5
 """Creep is sliding speed over train speed; the floor keeps it finite at standstill."""
@@ -67,7 +66,9 @@ def rail(condition: str | float) -> Rail:
     return shape._replace(mu_0=float(condition))
 
 
-def traction_coefficient(curve: Rail, creep: Array, v_m_s: float) -> Array:
+def traction_coefficient(
+    curve: Rail, creep: NDArray[np.float64], v_m_s: float
+) -> NDArray[np.float64]:
     """F / Q at `creep` (any shape, dimensionless) and vehicle speed `v_m_s`; odd in creep."""
     s = np.abs(creep)
     w = s * max(abs(v_m_s), SPEED_FLOOR_M_S)
@@ -75,7 +76,7 @@ def traction_coefficient(curve: Rail, creep: Array, v_m_s: float) -> Array:
     eps = curve.k_c * s / mu
     x = curve.k_A * eps
     ratio = (2.0 / np.pi) * mu * (x / (1.0 + x * x) + np.arctan(curve.k_S * eps))
-    out: Array = np.sign(creep) * ratio
+    out: NDArray[np.float64] = np.sign(creep) * ratio
     return out
 
 

@@ -24,11 +24,13 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dbc.arrays import Array, Flags
 from sim.physics.adhesion import SPEED_FLOOR_M_S, Rail, available, peak_creep
 from sim.records import DRIVE, MOTOR, Columns, ffi, lib, pointer, zeros
 from sim.records import TRAIN as TRAIN_RECORD
+
+Array = NDArray[np.float64]
 
 OUT: Final[int] = lib.OUT_COLUMNS
 I_ALPHA: Final[int] = lib.OUT_I_ALPHA
@@ -228,7 +230,7 @@ class Plant:
         return self.w_train * self.train.wheel_radius_m
 
     def advance(
-        self, w_ref: Array, w_acc: Array, load: Array, carry: Array, cut: Flags,
+        self, w_ref: Array, w_acc: Array, load: Array, carry: Array, cut: NDArray[np.bool_],
         rails: Array,
     ) -> Array:  # fmt: skip
         """Advance n periods; returns (n, N, 10), columns OUT, at the end of each.
@@ -328,7 +330,7 @@ class QuasiStatic:
         self.limit = np.ones(len(theta_0))
         self.demand_nm = load_0
 
-    def advance(self, w_m: float, load: float, carry: Array, cut: Flags) -> Array:
+    def advance(self, w_m: float, load: float, carry: Array, cut: NDArray[np.bool_]) -> Array:
         """Advance by 10 ms; `carry`, `cut` (N,); returns (N, 10) columns OUT at the end."""
         m = self.motor
         dt = self.STEP_NS * 1e-9

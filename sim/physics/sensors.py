@@ -8,8 +8,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dbc.arrays import Array, Flags
+Array = NDArray[np.float64]
+
 
 STATOR, DRIVE_END, NON_DRIVE_END, AMBIENT = range(4)
 POINTS: Final = 4
@@ -75,7 +77,7 @@ class Hold:
         """`shape` of one set of readings."""
         self.held = np.full(shape, np.nan)
 
-    def apply(self, readings: Array, stuck: Flags) -> Array:
+    def apply(self, readings: Array, stuck: NDArray[np.bool_]) -> Array:
         """Readings with the stuck ones replaced; both of the shape given."""
         begins = stuck & np.isnan(self.held)
         self.held = np.where(begins, readings, np.where(stuck, self.held, np.nan))

@@ -22,10 +22,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dbc.arrays import Array
 from sim.physics.plant import BENCH, Motor
 from sim.records import lib, pointer
+
+Array = NDArray[np.float64]
 
 NODES: Final[int] = lib.SIM_NODES
 WINDING, CORE, FRAME, BEARING_DE, BEARING_NDE, ROTOR = range(NODES)
