@@ -145,12 +145,6 @@ def terrain_line(name: str) -> str:
     return f"| {name} | {seconds:.0f} s | {shares(flags[straight].ravel())} |"
 
 
-def terrain_lines() -> list[str]:
-    """The table of the vehicle in docs/real_wheels.md."""
-    header = "| recording | straight | lost % | adhering % | unknown % |"
-    return [header, "| --- | --- | --- | --- | --- |", *map(terrain_line, terrain())]
-
-
 def _drive(node: int, codec: Codec, t: Array, motion: tuple[Array, Array, Array]) -> list[Frame]:
     theta, w, i_q = motion
     out = []
@@ -256,7 +250,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rated-a", type=float, nargs="+", default=[RATED_A])
     options = parser.parse_args(arguments)
     if options.terrain:
-        print("\n".join(terrain_lines()))
+        head = ["| recording | straight | lost % | adhering % | unknown % |", f"|{' --- |' * 5}"]
+        print("\n".join([*head, *map(terrain_line, terrain())]))
         return 0
     for rated_a in options.rated_a:
         print(f"Rated current {rated_a:g} A\n")

@@ -146,11 +146,6 @@ def one_by_one(recorded: Recorded, ticks: list[tuple[Block, int]]) -> dict[str, 
     return spent
 
 
-def _mean(turns: list[list[float]]) -> float:
-    """Of all ticks, each the shortest of all turns."""
-    return float(np.min(turns, axis=0).mean())
-
-
 def rows() -> list[tuple[str, ...]]:
     with tempfile.TemporaryDirectory() as name:
         log = log_of(Path(name), "traction.dbc")
@@ -165,7 +160,8 @@ def rows() -> list[tuple[str, ...]]:
         ("replay, log read and flags written", replayed / count),
         ("`run`, 25 ticks a call", run_s),
         ("`step`, a tick a call, frames as objects", step_s),
-        *((name, _mean([turn[name] for turn in turns])) for name in turns[0]),
+        # Of each tick the shortest of all turns.
+        *((name, np.min([t[name] for t in turns], axis=0).mean().item()) for name in turns[0]),
     ]
     return [
         (what, f"{1e6 * spent:.2f} us", f"{100.0 * spent / run_s:.0f} %") for what, spent in out

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from dbc.arrays import Array, Flags
+from dbc.arrays import Array
 from gateway.study import thermal_network as heat
 from gateway.study.thermal_dataset import (
     BENCH,
@@ -91,7 +91,9 @@ def train(
     healthy = _felt(t, warm(t.net, settle(t.net, *given), *given))
     wrong, effect = None, np.zeros_like(healthy)
     if kind:
-        wrong = fault_of(rng, base, kind)._replace(motor=_driven(rng, parked))
+        wrong = fault_of(rng, base, kind)
+        # A fault in a motor without current has no effect to detect.
+        wrong = wrong._replace(motor=int(rng.choice(np.flatnonzero(~parked))))
         effect = _effect(rng, t, base, wrong, truth)
     true = healthy * t.gain + t.offset_k + error + effect
     noise = t.noise_k * rng.standard_normal(true.shape)
@@ -225,11 +227,6 @@ def _felt(t: Train, true: Array) -> Array:
     for q, lag in enumerate(t.sensor_lag_s.tolist()):
         out[:, :, q] = _lagged(true[:, :, q], lag)
     return out
-
-
-def _driven(rng: Rng, parked: Flags) -> int:
-    """Draw a motor with current: a fault in a motor without current has no effect to detect."""
-    return int(rng.choice(np.flatnonzero(~parked)))
 
 
 def _effect(
