@@ -37,26 +37,24 @@ began = time.perf_counter()
 pid = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=act)
 _, status, usage = os.wait4(pid, 0)
 spent = time.perf_counter() - began
-busy = usage.ru_utime + usage.ru_stime
-print(json.dumps([spent, usage.ru_maxrss / 1024, busy, os.waitstatus_to_exitcode(status)]))
+print(json.dumps([spent, usage.ru_maxrss / 1024, os.waitstatus_to_exitcode(status)]))
 """
 
 
 class Spent(NamedTuple):
-    """Of a whole process: s, MB at its peak, s of processor time."""
+    """Of a whole process: s, MB at its peak."""
 
     seconds: float
     peak_mb: float
-    busy_s: float
 
 
 def process(*words: str) -> Spent:
     """A process of Python. Raises AssertionError unless it ends with 0."""
     command = [sys.executable, "-I", "-S", "-c", _MEASURE, sys.executable, *words]
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=as_installed())
-    seconds, peak, busy, code = json.loads(done.stdout)
+    seconds, peak, code = json.loads(done.stdout)
     assert code == 0, (words, done.stderr)
-    return Spent(seconds, peak, busy)
+    return Spent(seconds, peak)
 
 
 def ours(*words: str) -> tuple[str, ...]:
