@@ -7,45 +7,11 @@ import contextlib
 import json
 import os
 import platform
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
-from bench import (
-    adhesion,
-    authentication,
-    convert,
-    drives,
-    filters,
-    fleet,
-    growth,
-    judges,
-    live,
-    replay,
-    speed,
-    stages,
-    thermal,
-    whole,
-    wire,
-)
-
 PARTS = {
-    "whole": whole,
-    "speed": speed,
-    "stages": stages,
-    "wire": wire,
-    "replay": replay,
-    "convert": convert,
-    "live": live,
-    "authentication": authentication,
-    "fleet": fleet,
-    "filters": filters,
-    "judges": judges,
-    "drives": drives,
-    "growth": growth,
-    "adhesion": adhesion,
-    "thermal": thermal,
-}
-TITLES = {
     "whole": "Whole processes",
     "speed": "Start, replay, simulation",
     "stages": "Where a tick's time goes",
@@ -62,10 +28,12 @@ TITLES = {
     "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",
 }
+"""Modules with `rows`, and their titles."""
+HEADER = ("figure", "measured", "reference in the same run", "ratio")
+"""Of a module that has none of its own."""
 
 
 def machine() -> str:
-    """What it was measured on."""
     cpu = platform.machine()
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -90,11 +58,12 @@ def main() -> None:
     text = [machine()]
     results = {}
     for name in options.part or PARTS:
-        rows = PARTS[name].rows()
-        results[name] = [dict(zip(PARTS[name].HEADER, row, strict=True)) for row in rows]
-        text += [f"\n## {TITLES[name]}\n", table(PARTS[name].HEADER, rows)]
-        if hasattr(PARTS[name], "SEE"):
-            text[-1] += f"\n\n{PARTS[name].SEE}"
+        part = import_module(f"bench.{name}")
+        rows, header = part.rows(), getattr(part, "HEADER", HEADER)
+        results[name] = [dict(zip(header, row, strict=True)) for row in rows]
+        text += [f"\n## {PARTS[name]}\n", table(header, rows)]
+        if hasattr(part, "SEE"):
+            text[-1] += f"\n\n{part.SEE}"
         print("\n".join(text[-2:]), flush=True)
     if options.output:
         body = (

@@ -205,7 +205,6 @@ def cells(measured: Measured) -> list[str]:
 
 
 def page(found: dict[str, list[Measured]], seeds: str) -> Iterator[str]:
-    """Lines of the page."""
     yield TEXT.format(seeds=seeds)
     names = [f"{world}: {c}" for world in found for c in ("F1", "dangerous", "false", "adhering")]
     yield f"| without | {' | '.join(names)} |"

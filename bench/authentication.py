@@ -21,7 +21,6 @@ from gateway.settings.config import parse, shipped_dbc
 from sim.scenario import find
 from sim.simulation import Simulation
 
-HEADER = ("figure", "measured", "reference in the same run", "ratio")
 KEY: Final = bytes(range(16))
 FLAG: Final = 0x1A0
 COUNT: Final = 20_000
@@ -42,7 +41,6 @@ def each_us(task: Callable[[], object]) -> float:
 
 
 def macs() -> list[tuple[str, ...]]:
-    """The sender's MAC against the library with nothing around it."""
     message, ready = bytes(20), CMAC(AES(KEY))
 
     def alone() -> bytes:
@@ -125,7 +123,6 @@ def ticks() -> tuple[str, ...]:
 
 
 def load() -> tuple[str, ...]:
-    """Of a bus of 1 Mbit/s, by `check`."""
     codec = bind(shipped_dbc("traction.dbc"), (1, 2, 3))
     without, with_it = (bus_load(codec, parse(s)) for s in ({}, {"authentication": {}}))
     return ("bus load with authenticated flags, 3 drives", f"{with_it:.1f} %",
@@ -133,5 +130,4 @@ def load() -> tuple[str, ...]:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure."""
     return [*macs(), ticks(), load(), *receiver()]

@@ -29,7 +29,6 @@ _SQRT3: Final = math.sqrt(3.0)
 
 
 def motors_of(n: int) -> tuple[Pmsm, Noise]:
-    """n bench motors."""
     par = pmsm.repeat(pmsm.BENCH_MOTOR, n)
     return par, pmsm.default_noise(par, pmsm.Rated(np.full(n, 25.0), np.full(n, 30.0)))
 
@@ -44,7 +43,6 @@ class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
     """The motor in filterpy as a user would write it: floats, and one array at the end."""
 
     def __init__(self) -> None:
-        """The bench motor, in motion."""
         super().__init__(5, 2)
         _, noise = motors_of(1)
         x, P = state_of(1)
@@ -86,7 +84,6 @@ class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
         self.predict()
 
     def step(self, y: np.ndarray) -> None:
-        """One prediction and one update."""
         self.advance()
         self.correct(y)
 

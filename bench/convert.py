@@ -15,12 +15,10 @@ import can
 from bench.speed import best, quiet
 from bench.wire import log_of
 
-HEADER = ("figure", "measured", "reference in the same run", "ratio")
 FORMATS: Final = (".log", ".asc", ".trc", ".csv", ".blf", ".mf4")
 
 
 def theirs(source: Path, target: Path) -> None:
-    """By python-can."""
     with can.LogReader(source) as reader, can.Logger(target) as writer:
         for message in reader:
             writer.on_message_received(message)
@@ -32,7 +30,6 @@ def options(target: Path) -> list[str]:
 
 
 def ours(source: Path, target: Path) -> None:
-    """The command."""
     target.unlink(missing_ok=True)
     quiet("convert", str(source), str(target), *options(target))
 

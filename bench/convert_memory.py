@@ -20,7 +20,6 @@ BYTES: Final = 2_000_000_000
 
 
 def rows() -> list[tuple[str, ...]]:
-    """Peak of memory, by conversion."""
     found: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -101,7 +101,6 @@ class Stations:
         self.bank.reserve(came.pointer.tick.samples)
 
     def tick(self, now: Nanos) -> None:
-        """Each station in its order, with a timer."""
         n, flags, status = self.n, self.flags, self.flags.status.drives
         rules, train, found, evidence = (
             pointer(f"struct {kind}", records)
@@ -148,7 +147,6 @@ def measured(recorded: Recorded, n: int) -> dict[str, float]:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per number of drives."""
     with tempfile.TemporaryDirectory() as name:
         log = log_of(Path(name), "traction.dbc", 6.0)
         recorded = Recorded(log, bind(shipped_dbc("traction.dbc"), NODES))

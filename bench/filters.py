@@ -66,12 +66,10 @@ def call_of(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> Callable[[]
 
 
 def compiled(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> float:
-    """s of it."""
     return best(call_of(kind, n, steps, sub_steps=sub_steps))
 
 
 def stacked(n: int) -> float:
-    """NumPy, all drives at once."""
     par, noise = motors_of(n)
     x, P = state_of(n)
     u, y = np.full((n, 2), 10.0), np.zeros((n, 2))
@@ -110,40 +108,38 @@ def dense(n: int) -> float:
 
 
 def library() -> float:
-    """filterpy, one drive."""
     motor, y = Motor(), np.zeros(2)
     return best(lambda: motor.step(y))
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per filter and size of fleet."""
     filterpy_s = library()
-    out = [("filterpy EKF", "1", _us(filterpy_s), _us(filterpy_s), "")]
+    out = [("filterpy EKF", "1", us(filterpy_s), us(filterpy_s), "")]
     for name in ("EKF", "UKF"):
         kind = name.lower()
         for n in FLEETS:
             tick, block = compiled(kind, n, 1), compiled(kind, n, BLOCK)
             step_s = block / n / BLOCK
             out.append((
-                f"{name}, one step a call", str(n), _us(tick), _ns(tick / n),
+                f"{name}, one step a call", str(n), us(tick), ns(tick / n),
                 f"filterpy {filterpy_s * n / tick:.0f} x",
             ))  # fmt: skip
             out.append((
-                f"{name}, {BLOCK} steps a call", str(n), _us(block), _ns(step_s),
+                f"{name}, {BLOCK} steps a call", str(n), us(block), ns(step_s),
                 f"filterpy {filterpy_s / step_s:.0f} x",
             ))  # fmt: skip
     for n in FLEETS:
         numpy_s = stacked(n)
-        out.append(("EKF, NumPy over all drives", str(n), _us(numpy_s), _ns(numpy_s / n), ""))
+        out.append(("EKF, NumPy over all drives", str(n), us(numpy_s), ns(numpy_s / n), ""))
     for n in DENSE:
         dense_s = dense(n)
-        out.append(("EKF of 5N states, NumPy", str(n), _us(dense_s), _ns(dense_s / n), ""))
+        out.append(("EKF of 5N states, NumPy", str(n), us(dense_s), ns(dense_s / n), ""))
     return out
 
 
-def _us(seconds: float) -> str:
-    return f"{1e6 * seconds:.2f} us"
+def us(seconds: float, digits: int = 2) -> str:
+    return f"{1e6 * seconds:.{digits}f} us"
 
 
-def _ns(seconds: float) -> str:
-    return f"{1e9 * seconds:.1f} ns"
+def ns(seconds: float, digits: int = 1) -> str:
+    return f"{1e9 * seconds:.{digits}f} ns"

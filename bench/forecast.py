@@ -47,7 +47,6 @@ class Run(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For the table."""
         c = self.config
         cycle = min(
             s.cycle_ns for s in self.codec.messages if s.kind in ("PhaseCurrents", "Samples")
@@ -67,7 +66,6 @@ class Run(NamedTuple):
 
 
 def draw(seed: int) -> Run:
-    """The run of a seed."""
     rng = np.random.default_rng(seed)
     motor = str(rng.choice(["bench", "traction_350kw"]))
     dbc = str(rng.choice(["traction.dbc", "traction.dbc", "traction_fd.dbc"]))

@@ -13,8 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from bench.filters import BLOCK, FLEETS, compiled
 from bench.judges import variational
 from bench.speed import best, quiet
@@ -67,9 +65,10 @@ def reading(folder: Path) -> tuple[Curve, list[float]]:
     log, seconds, grown = folder / "long.log", [], []
     sum(block.size for block in Reader(folder / "traction.log").blocks())
     for size in READ_MB:
+        whole_lines = minute.rfind(b"\n", 0, int(size * 1e6)) + 1
         with log.open("wb") as out:
             for _ in range(max(round(size * 1e6 / len(minute)), 1)):
-                out.write(minute if size > len(minute) / 1e6 else _lines(minute, size))
+                out.write(minute[:whole_lines])
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         began = time.perf_counter()
         sum(block.size for block in Reader(log).blocks())
@@ -77,11 +76,6 @@ def reading(folder: Path) -> tuple[Curve, list[float]]:
         grown.append((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
     log.unlink()
     return Curve("candump read", [float(size) for size in READ_MB], seconds), grown
-
-
-def _lines(minute: bytes, size_mb: float) -> bytes:
-    """The first whole lines of so many MB."""
-    return minute[: minute.rindex(b"\n", 0, int(size_mb * 1e6)) + 1]
 
 
 def replaying(folder: Path) -> Curve:
@@ -106,7 +100,6 @@ def sampling() -> Curve:
 
 
 def picture(panels: list[tuple[str, str, str, list[Curve]]], path: Path) -> None:
-    """panels: (title, x, y, curves)."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -162,7 +155,8 @@ def rows() -> list[Row]:
     with tempfile.TemporaryDirectory() as name:
         read, grown = reading(Path(name))
         replayed = replaying(Path(name))
-        line_bytes = _mean_line(Path(name) / "traction.log")
+        text = (Path(name) / "traction.log").read_bytes()
+        line_bytes = len(text) / text.count(b"\n")
     out = []
     for curve in by_drives:
         for n, spent in zip(curve.x, curve.y, strict=True):
@@ -187,9 +181,3 @@ def rows() -> list[Row]:
     )
     read_s, replay_s = (c.y[-1] / (c.x[-1] * 1e6 / line_bytes) for c in (read, replayed))
     return out + bill(by_rate.y[-1] / by_rate.x[-1], read_s, replay_s, line_bytes)
-
-
-def _mean_line(log: Path) -> float:
-    """Bytes."""
-    text = np.frombuffer(log.read_bytes(), dtype=np.uint8)
-    return float(len(text) / np.count_nonzero(text == ord("\n")))

@@ -16,7 +16,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from sklearn.mixture import BayesianGaussianMixture, GaussianMixture
 
-from bench.filters import best
+from bench.filters import best, ns, us
 from estimators import maisd
 from estimators.detect import Evidence, VariationalDetector
 from estimators.detect.variational import DEFAULT_PRIORS
@@ -42,7 +42,6 @@ def loads(n: int) -> np.ndarray:
 
 
 def verdict_of(n: int) -> Callable[[], object]:
-    """One verdict over n drives."""
     evidence = Evidence(loads(n), np.full(n, SPREAD_NM), np.ones(n, dtype=np.bool_))
     return partial(VariationalDetector(), evidence)
 
@@ -53,7 +52,6 @@ def variational(n: int) -> float:
 
 
 def twin(n: int) -> float:
-    """s of the NumPy form."""
     x = loads(n)
     return best(lambda: infer(x, *starts(x, SPREAD_NM**2), DEFAULT_PRIORS))
 
@@ -123,7 +121,6 @@ def spread(n: int) -> float:
 
 
 def plain_spread(n: int) -> float:
-    """s of the NumPy twin."""
     rng = np.random.default_rng(0)
     state = reference.start(WINDOW, n, 3)
     values, present = rng.normal(60.0, 1.0, (n, 3)), np.ones((n, 3), dtype=np.bool_)
@@ -138,7 +135,6 @@ def plain_spread(n: int) -> float:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per detector and size of fleet."""
     one_mixed = library_mixed()
     out = []
     for n in FLEETS[1:]:
@@ -147,7 +143,7 @@ def rows() -> list[tuple[str, ...]]:
     for n in FLEETS:
         spent = sigma_mixed(n)
         out.append((
-            "sigma-mixed UKF, a sample", str(n), _us(spent), _ns(spent / n),
+            "sigma-mixed UKF, a sample", str(n), us(spent), ns(spent / n, 0),
             f"filterpy + scikit-learn {one_mixed * n / spent:.0f} x",
         ))  # fmt: skip
     out += [_row("MAISD, a sample", n, spread(n), [("NumPy twin", plain_spread)]) for n in FLEETS]
@@ -158,12 +154,4 @@ def _row(
     what: str, n: int, spent: float, against: list[tuple[str, Callable[[int], float]]]
 ) -> tuple[str, ...]:
     said = ", ".join(f"{name} {theirs(n) / spent:.0f} x" for name, theirs in against)
-    return what, str(n), _us(spent), _ns(spent / n), said
-
-
-def _us(seconds: float) -> str:
-    return f"{1e6 * seconds:.2f} us"
-
-
-def _ns(seconds: float) -> str:
-    return f"{1e9 * seconds:.0f} ns"
+    return what, str(n), us(spent), ns(spent / n, 0), said

@@ -20,7 +20,7 @@ import cantools
 import numpy as np
 from can.interfaces.socketcan.socketcan import capture_message
 
-from bench.filters import call_of
+from bench.filters import call_of, us
 from bench.judges import verdict_of
 from bench.wire import log_of, whole
 from dbc.codec import Codec, bind
@@ -52,32 +52,36 @@ class Pair(Kernel):
     """A Unix socket pair in place of an interface."""
 
     def __init__(self) -> None:
-        """Both ends."""
         self.ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.ours.setblocking(False)
         self.ours.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE)
 
     def connect(self, channel: str, fd: bool, first: bool = False) -> socket.socket:  # noqa: ARG002
-        """Our end."""
         return self.ours
 
     def look(self, raw: socket.socket, channel: str) -> Link:  # noqa: ARG002
-        """Always up."""
         return Link(1, up=True, mtu=72)
 
     def close(self) -> None:
-        """Both ends."""
         self.ours.close()
         self.theirs.close()
 
     def swallow(self) -> None:
-        """What the gateway has sent."""
         try:
             while self.theirs.recv(72, socket.MSG_DONTWAIT):
                 pass
         except BlockingIOError:
             pass
+
+
+def quantiles(spent: Sequence[float]) -> np.ndarray:
+    """50, 99 and 99.9 % of times, s."""
+    return np.quantile(spent, (0.5, 0.99, 0.999))
+
+
+def texts(seconds: np.ndarray, digits: int = 0) -> list[str]:
+    return [us(value, digits) for value in seconds]
 
 
 def ticks_of(log: Path, codec: Codec, drives: int, period_ns: int) -> list[list[Frame]]:
@@ -160,8 +164,7 @@ def sends(frames: Sequence[Frame]) -> list[tuple[str, ...]]:
                 kernel.swallow()
     out = []
     for result, what in ((SendResult.SENT, "a frame sent"), (SendResult.FULL, "the queue is full")):
-        quantiles = np.quantile(taken[result], (0.5, 0.99, 0.999)).tolist()
-        out.append((what, *(f"{1e6 * q:.1f} us" for q in quantiles), "", ""))
+        out.append((what, *texts(quantiles(taken[result]), 1), "", ""))
     kernel.close()
     return out
 
@@ -169,7 +172,6 @@ def sends(frames: Sequence[Frame]) -> list[tuple[str, ...]]:
 def whole_tick(
     ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int, rate_hz: int
 ) -> tuple[str, ...]:
-    """Drain, decode, estimate, decide, encode, send."""
     rows: list[dict[str, Any]] = [{"node": k} for k in range(1, drives + 1)]
     config = Config.model_validate({"drive": rows, "loop": {"rate_hz": rate_hz}})
     kernel = Pair()
@@ -191,12 +193,10 @@ def whole_tick(
             spent.append(time.perf_counter() - began)
             if number % 5 == 0:
                 kernel.swallow()
-    settled = np.array(spent[len(spent) // 6 :])
-    p50, p99, p999 = np.quantile(settled, (0.5, 0.99, 0.999)).tolist()
-    return (
-        f"whole tick, {drives} drives, {rate_hz} Hz", _us(p50), _us(p99), _us(p999),
-        f"p99 {100.0 * p99 * rate_hz:.1f} %, p99.9 {100.0 * p999 * rate_hz:.1f} %", "",
-    )  # fmt: skip
+    q = quantiles(spent[len(spent) // 6 :])
+    _, p99, p999 = 100.0 * rate_hz * q
+    what = f"whole tick, {drives} drives, {rate_hz} Hz"
+    return what, *texts(q), f"p99 {p99:.1f} %, p99.9 {p999:.1f} %", ""
 
 
 def alone(drives: int) -> tuple[str, ...]:
@@ -211,11 +211,8 @@ def alone(drives: int) -> tuple[str, ...]:
             filters()
             judge()
             spent.append(time.perf_counter() - began)
-    p50, p99, p999 = np.quantile(spent, (0.5, 0.99, 0.999)).tolist()
-    return (
-        f"EKF and VB alone, {drives} drives, a tick of 100 Hz", _us(p50), _us(p99), _us(p999),
-        f"p99 {100.0 * p99 * 100:.1f} %", "",
-    )  # fmt: skip
+    q, what = quantiles(spent), f"EKF and VB alone, {drives} drives, a tick of 100 Hz"
+    return what, *texts(q), f"p99 {100.0 * q[1] * 100:.1f} %", ""
 
 
 def bare(period_s: float) -> list[float]:
@@ -230,7 +227,6 @@ def bare(period_s: float) -> list[float]:
 
 
 def ticker(period_s: float) -> list[float]:
-    """The same by ours."""
     wakes = Ticker(round(period_s * SECOND))
     first = wakes.wait().now_ns
     late = []
@@ -269,20 +265,13 @@ def lateness() -> list[tuple[str, ...]]:
 def _late(what: str, loop: Callable[[float], list[float]], period_s: float) -> tuple[str, ...]:
     gc.collect()
     reference = np.quantile(bare(period_s), 0.99).item()
-    p50, p99, p999 = np.quantile(loop(period_s), (0.5, 0.99, 0.999)).tolist()
-    ratio = p99 / reference if reference > 0.0 else math.nan
-    return (
-        what, _us(p50), _us(p99), _us(p999), f"p99 {100.0 * p99 / period_s:.1f} %",
-        f"bare loop p99 {_us(reference)}: {ratio:.2f}",
-    )  # fmt: skip
-
-
-def _us(seconds: float) -> str:
-    return f"{1e6 * seconds:.0f} us"
+    q = quantiles(loop(period_s))
+    ratio = q[1] / reference if reference > 0.0 else math.nan
+    compared = f"bare loop p99 {us(reference, 0)}: {ratio:.2f}"
+    return what, *texts(q), f"p99 {100.0 * q[1] / period_s:.1f} %", compared
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure."""
     out = []
     with tempfile.TemporaryDirectory() as name:
         log = log_of(Path(name), "traction.dbc")

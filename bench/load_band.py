@@ -12,17 +12,17 @@ from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from gateway.core.codes import Health
 from gateway.core.gateway import Gateway
 from gateway.io.workers import workers
 from gateway.reports.scoring import truth_of
+from gateway.study.evaluation import load_error
 from gateway.study.evaluation_runs import Plan, Recording, fitted, recorded, seeds_of
 from gateway.study.scenarios_family import FAMILIES, GROUPS
 from gateway.study.worlds import WORLDS
 
-Array = NDArray[np.float64]
 MOTORS: Final = ("bench", "traction_350kw")
 SOURCES: Final = ("filters", "observer")
 FEWEST: Final = 200
@@ -35,7 +35,7 @@ class Loads(NamedTuple):
 
     error: Array
     sigma: Array
-    observed: NDArray[np.bool_]
+    observed: Flags
 
 
 def loads(recording: Recording, plan: Plan) -> Loads:
@@ -52,18 +52,14 @@ def loads(recording: Recording, plan: Plan) -> Loads:
     found = []
     for k, node in enumerate(config.nodes):
         truth = truth_of(recording.truth, node)
-        true_nm = np.array([row.load_nm for row in recording.truth if row.drive == node])
         load, sigma, health, observed = known[:, k].T
-        # Load is judged in shallow losses, too.
-        counted = truth._replace(depth=np.ones_like(truth.depth)).counted(t_s)
-        good = counted & (health == Health.TRACKING) & np.isfinite(load)
-        error = load - true_nm[np.maximum(truth.at(t_s), 0)]
+        error = load_error(recording.truth, node, truth, t_s, load)
+        good = (health == Health.TRACKING) & np.isfinite(error)
         found.append(Loads(error[good], sigma[good], observed[good] > 0.0))
     return together(found)
 
 
 def together(parts: Iterable[Loads]) -> Loads:
-    """One after the other."""
     return Loads(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -89,7 +85,6 @@ def kinds_of(world: str) -> tuple[str, ...]:
 
 
 def table(worlds: Iterable[str], seeds: tuple[int, ...], jobs: int) -> Iterator[str]:
-    """Line by line."""
     kinds = [(world, name) for world in worlds for name in kinds_of(world)]
     yield "| world | kind | motor | load by | ticks | inside % | rms error Nm | sigma Nm |"
     yield "|---|---|---|---|---|---|---|---|"

@@ -18,13 +18,11 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.model import CORE, MEASURED, OFFSETS, inputs_of, simulate
 from estimators.thermal.record import Record
 from estimators.thermal.system_identification import first_readings, identify, scaled
-
-Array = NDArray[np.float64]
 
 JUDGED: Final = (60, 62, 74)
 """Profiles that the literature holds back."""
@@ -89,7 +87,6 @@ def _figures(off: Array) -> str:
 
 
 def main() -> None:
-    """Learn, judge, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, help="measures_v2.csv")
     options = parser.parse_args()

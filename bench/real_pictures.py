@@ -9,21 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.real_findings import judged, kona_runs
-from bench.real_recordings import (
-    BRIDGES,
-    JOINTS,
-    LEG,
-    Said,
-    before,
-    icub,
-    judge,
-    kona,
-    kona_frames,
-    learn_icub,
-    learn_inverter,
-    to_accuracy,
-)
+from bench import real_recordings as recordings
+from bench.real_temperatures import judged, kona_runs
 from dbc.frame import SECOND
 from gateway.core.codes import Flag, Reason
 from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE
@@ -33,7 +20,7 @@ COLOURS: Final = (BLUE, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 HATCH: Final = "////"
 
 
-def _strip(axis: Any, said: Said, flags: np.ndarray, names: Sequence[str]) -> None:
+def _strip(axis: Any, said: recordings.Said, flags: np.ndarray, names: Sequence[str]) -> None:
     """Flags (T, N) as bars, a row each, the first on top."""
     looks = {
         Flag.GOOD: {"fc": GREEN},
@@ -82,13 +69,13 @@ def draw(folder: Path) -> list[Path]:
 
 
 def _icub(plt: Any) -> Any:
-    said = judge(icub(), LEG, learn_icub())
+    said = recordings.judge(recordings.icub(), recordings.LEG, recordings.learn_icub())
     figure, (top, strip, heat) = plt.subplots(
         3, 1, figsize=(10, 6.4), sharex=True, layout="constrained",
         gridspec_kw={"height_ratios": [3, 1.5, 1.5]},
     )  # fmt: skip
-    readings = icub()
-    for k, joint in enumerate(JOINTS[:-1]):
+    readings = recordings.icub()
+    for k, joint in enumerate(recordings.JOINTS[:-1]):
         mine = [r for r in readings if r.drive == k]
         t, values = [r.t_ns / SECOND for r in mine], [r.celsius[0] for r in mine]
         top.plot(t, values, color=COLOURS[k], lw=1.1, label=joint)
@@ -102,8 +89,8 @@ def _icub(plt: Any) -> Any:
     top.legend(loc="upper left", fontsize="small", ncols=5)
     top.set_title("Motors of a robot's leg: ankle_roll reads 2727 degC throughout (open sensor)")
     top.grid(alpha=0.3)
-    _strip(strip, said, said.sensor, JOINTS)
-    _strip(heat, said, said.thermal, JOINTS)
+    _strip(strip, said, said.sensor, recordings.JOINTS)
+    _strip(heat, said, said.thermal, recordings.JOINTS)
     strip.set_ylabel("sensor flag")
     heat.set_ylabel("thermal flag")
     heat.set_xlabel("time / s (flags learnt from the first 60 s)")
@@ -115,21 +102,21 @@ def _icub(plt: Any) -> Any:
 
 
 def _inverter(plt: Any) -> Any:
-    runs = judged(to_accuracy(learn_inverter()))
+    runs = judged(recordings.to_accuracy(recordings.learn_inverter()))
     widths = [max(said.t_s[-1], 60.0) for said in runs.values()]
     figure, axes = plt.subplots(
         2, len(runs), figsize=(12, 5), sharex="col", sharey="row", layout="constrained",
         gridspec_kw={"height_ratios": [3, 1], "width_ratios": widths},
     )  # fmt: skip
     for (label, said), top, strip in zip(runs.items(), axes[0], axes[1], strict=True):
-        for k, name in enumerate(BRIDGES):
+        for k, name in enumerate(recordings.BRIDGES):
             # A hole is not a line.
             shown = np.where(said.reason[:, k] == Reason.STALE, np.nan, said.celsius[:, k])
             top.plot(said.t_s, shown, color=COLOURS[k], lw=0.5, label=name)
         top.set_title(label)
         top.grid(alpha=0.3)
         top.margins(x=0)
-        _strip(strip, said, said.thermal, BRIDGES)
+        _strip(strip, said, said.thermal, recordings.BRIDGES)
         strip.set_xlabel("s")
     axes[0, 0].set_ylabel("half-bridge / degC")
     for line in axes[0, 0].legend(loc="upper left", fontsize="small").get_lines():
@@ -143,13 +130,13 @@ def _inverter(plt: Any) -> Any:
 
 
 def _kona(plt: Any) -> Any:
-    frames = kona_frames()
+    frames = recordings.kona_frames()
     begin = frames[0].t_ns
     figure, (top, strip) = plt.subplots(
         2, 1, figsize=(10, 4.6), sharex=True, layout="constrained",
         gridspec_kw={"height_ratios": [3, 1.2]},
     )  # fmt: skip
-    shown = before(kona(frames, status=False), (begin + 4 * SECOND) / SECOND)
+    shown = recordings.before(recordings.kona(frames, status=False), (begin + 4 * SECOND) / SECOND)
     t = [(r.t_ns - begin) / SECOND for r in shown]
     for k, name in enumerate(("inlet", "fast 1", "fast 2")):
         values = [r.celsius[k] for r in shown]

@@ -1,4 +1,4 @@
-"""Recordings made by others, read and judged: what `real_findings` and `real_pictures` tell.
+"""Recordings made by others, read and judged: what `real_temperatures` and `real_pictures` tell.
 
 Recorded temperatures become the readings that our inbox would make of them: what a recording's
 own codes or status call no measurement is not available, and beyond the wire's -60 to 300 degC
@@ -88,7 +88,6 @@ def inverter(label: str) -> list[Temperatures]:
 
 
 def kona_frames() -> list[Frame]:
-    """All frames 0x523, with the log's stamps."""
     return [f for f in Reader(DATA / "kona_523.log.gz") if f.can_id == KONA_ID]
 
 
@@ -191,9 +190,9 @@ def learn_inverter(t_s: float = LEARNT_S) -> Calibration:
     return learn(before(inverter("F0"), t_s), HALF_BRIDGES)
 
 
-def to_accuracy(calibration: Calibration, kelvin: float = ACCURACY_K) -> Calibration:
+def to_accuracy(calibration: Calibration) -> Calibration:
     """Deviation limits not below what the sensors are good for."""
-    limits = tuple(max(limit, kelvin) for limit in calibration.deviation_limit_k)
+    limits = tuple(max(limit, ACCURACY_K) for limit in calibration.deviation_limit_k)
     return calibration.model_copy(update={"deviation_limit_k": limits})
 
 

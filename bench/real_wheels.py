@@ -21,18 +21,17 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
+from dbc.arrays import Array, Flags, Ints
 from dbc.codec import Codec, bind
 from dbc.e2e import protect
 from dbc.frame import MS, SECOND, Frame
 from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
 from gateway.settings.config import BENCH_MOTOR, Config, parse
-
-Array = NDArray[np.float64]
+from gateway.study.held_world import phasors
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "wheels" / "robot.csv.gz"
 TERRAIN: Final = DATA.parent / "terrain"
@@ -84,7 +83,6 @@ class Run(NamedTuple):
 
 @cache
 def runs() -> dict[str, Run]:
-    """All recordings, by name."""
     rows: dict[str, list[list[float]]] = {}
     with gzip.open(DATA, "rt", encoding="utf-8", newline="") as file:
         for name, *numbers in list(csv.reader(file))[1:]:
@@ -113,7 +111,7 @@ def frames(run: Run, codec: Codec, rated_a: float = RATED_A) -> list[Frame]:
         w = CubicSpline(run.t_s, run.speed[:, k])
         i_q = np.interp(t, run.t_s, run.effort[:, k]) / rated_a * BENCH_MOTOR.I_rated
         theta = BENCH_MOTOR.pole_pairs * w.antiderivative()(t) + k
-        out += _drive(k + 1, codec, t, _phasors(theta, i_q), (theta, w(t), i_q))
+        out += _drive(k + 1, codec, t, (theta, w(t), i_q))
     return sorted(out, key=lambda frame: frame.t_ns)
 
 
@@ -131,7 +129,7 @@ def terrain() -> dict[str, Run]:
     return found
 
 
-def drives_straight(run: Run) -> NDArray[np.bool_]:
+def drives_straight(run: Run) -> Flags:
     """(ticks,): both sides turn, and alike."""
     t_s = 0.01 * np.arange(1, round(run.t_s[-1] * 100.0))
     left, right = (np.abs(np.interp(t_s, run.t_s, run.speed[:, k])) for k in (0, 1))
@@ -147,31 +145,11 @@ def terrain_line(name: str) -> str:
     return f"| {name} | {seconds:.0f} s | {shares(flags[straight].ravel())} |"
 
 
-def terrain_lines() -> list[str]:
-    """The table of the vehicle in docs/real_wheels.md."""
-    header = "| recording | straight | lost % | adhering % | unknown % |"
-    return [header, "| --- | --- | --- | --- | --- |", *map(terrain_line, terrain())]
-
-
-def _phasors(theta: Array, i_q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Current at the end of each period and mean voltage over it, one fewer than instants."""
-    motor, along = BENCH_MOTOR, np.exp(1j * theta)
-    current = 1j * i_q * along
-    flux = motor.L_s * current + motor.psi_pm * along
-    voltage = motor.R_s * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / PERIOD_S
-    return current[1:], voltage
-
-
-def _drive(
-    node: int,
-    codec: Codec,
-    t: Array,
-    phasors: tuple[NDArray[np.complex128], NDArray[np.complex128]],
-    motion: tuple[Array, Array, Array],
-) -> list[Frame]:
+def _drive(node: int, codec: Codec, t: Array, motion: tuple[Array, Array, Array]) -> list[Frame]:
     theta, w, i_q = motion
     out = []
-    for n, (i, u) in enumerate(zip(*phasors, strict=True), 1):
+    pairs = zip(*phasors(BENCH_MOTOR, theta, i_q, PERIOD_S), strict=True)
+    for n, (i, u) in enumerate(pairs, 1):
         b = -0.5 * i.real + math.sqrt(0.75) * i.imag
         t_ns = round(t[n] * SECOND) + node * 7000
         sent = {
@@ -201,7 +179,7 @@ def config_of(run: Run) -> Config:
     })  # fmt: skip
 
 
-def judge(run: Run, rated_a: float = RATED_A) -> NDArray[np.int64]:
+def judge(run: Run, rated_a: float = RATED_A) -> Ints:
     """Flags of adhesion (ticks, N), one a tick of 10 ms."""
     config = config_of(run)
     codec = bind(config.dbc_path, config.nodes)
@@ -216,14 +194,14 @@ def judge(run: Run, rated_a: float = RATED_A) -> NDArray[np.int64]:
     return np.array(flags)
 
 
-def on_drag(run: Run) -> NDArray[np.bool_]:
+def on_drag(run: Run) -> Flags:
     """(ticks, N): which wheels are on the floor that drags, by their current over half a second."""
     mean = uniform_filter1d(run.current, 16, axis=0) > ON_DRAG_A
     at = np.searchsorted(run.t_s, 0.01 * np.arange(1, round(run.t_s[-1] * 100.0))) - 1
     return np.asarray(mean[at])
 
 
-def shares(flags: NDArray[np.int64]) -> str:
+def shares(flags: Ints) -> str:
     """Lost, adhering, unknown, in percent of these flags."""
     if not flags.size:
         return "- | - | -"
@@ -248,7 +226,7 @@ def lines(rated_a: float) -> list[str]:
         "| --- | --- | --- | --- | --- |",
     ]
     for title, names in groups().items():
-        found: dict[str, list[NDArray[np.int64]]] = {}
+        found: dict[str, list[Ints]] = {}
         for name in names:
             run = runs()[name]
             flags, drag = judge(run, rated_a), on_drag(run)
@@ -267,13 +245,13 @@ def lines(rated_a: float) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table for each rated current."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--terrain", action="store_true", help="the vehicle, not the robot")
     parser.add_argument("--rated-a", type=float, nargs="+", default=[RATED_A])
     options = parser.parse_args(arguments)
     if options.terrain:
-        print("\n".join(terrain_lines()))
+        head = ["| recording | straight | lost % | adhering % | unknown % |", f"|{' --- |' * 5}"]
+        print("\n".join([*head, *map(terrain_line, terrain())]))
         return 0
     for rated_a in options.rated_a:
         print(f"Rated current {rated_a:g} A\n")

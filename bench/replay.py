@@ -21,7 +21,6 @@ from dbc.candump.reader import Reader
 from dbc.codec import bind
 from gateway.settings.config import shipped_dbc
 
-HEADER = ("figure", "measured", "reference in the same run", "ratio")
 SPANS: Final = {"traction.dbc": 300.0, "traction_fd.dbc": 60.0}
 """s of the logs: a command's start and end are a twentieth of a second."""
 FEW: Final = 5_000
@@ -70,7 +69,6 @@ def parsed(log: Path, dbc: Path) -> float:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per message set and reference."""
     out = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

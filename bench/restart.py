@@ -63,9 +63,9 @@ class Manager:
         ready = select.select([self._socket], [], [], seconds)[0]
         return self._socket.recv(4096) if ready else b""
 
-    def until(self, word: bytes, seconds: float = 60.0) -> None:
-        """Wait for a word. Raises TimeoutError."""
-        deadline = time.monotonic() + seconds
+    def until(self, word: bytes) -> None:
+        """Wait for a word, a minute at most. Raises TimeoutError."""
+        deadline = time.monotonic() + 60.0
         while word not in self.heard(0.1):
             if time.monotonic() > deadline:
                 raise TimeoutError(word.decode())
@@ -86,7 +86,6 @@ class Manager:
         self.process = self.start()
 
     def close(self) -> None:
-        """End what still runs."""
         self.process.kill()
         self.process.wait()
         self._socket.close()
@@ -120,7 +119,6 @@ def restarts(environment: dict[str, str]) -> list[float]:
 
 
 def row(environment: dict[str, str]) -> tuple[str, str, str, str]:
-    """For the table of starts."""
     spent = restarts(environment)
     told = f"{median(spent):.2f} s, at most {max(spent):.2f} s" if spent else "no multicast here"
     what = "a stopped service (SIGSTOP), until its flags are back; the unit's times"

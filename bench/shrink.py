@@ -14,9 +14,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import redirect_stdout
 from functools import reduce
-from io import StringIO
 from itertools import chain
 from pathlib import Path
 from statistics import median
@@ -25,12 +23,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from bench.shrink_recordings import Case, cars, recordings
-from dbc.candump.reader import Reader
+from bench.speed import quiet
+from bench.wire import whole
 from dbc.candump.writer import Writer
 from dbc.codec import bind
 from dbc.frame import MS, SECOND
 from dbc.frames import join
-from gateway import cli
 from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
 from gateway.io.prepare import prepare
@@ -72,16 +70,14 @@ def storms(folder: Path) -> Iterator[Case]:
 
 def among(folder: Path) -> Iterator[Case]:
     """Simulated runs, a bus on which a real car talks over and over again."""
-    other = reduce(join, Reader(TRAFFIC).blocks())
+    other = whole(TRAFFIC)
     other = other.pick(other.channel == other.channel[0])
     other = other._replace(t_ns=other.t_ns - other.t_ns[0], names=[""])
     span_ns = other.t_ns.item(-1) + MS
     for name in AMONG:
-        path, quiet = folder / f"{name}.log", folder / "quiet.log"
-        with redirect_stdout(StringIO()):
-            assert cli.main(["sim", name, "-o", str(quiet)]) == 0
-        own = reduce(join, Reader(quiet).blocks())
-        own = own._replace(names=[""])
+        path, alone = folder / f"{name}.log", folder / "alone.log"
+        quiet("sim", name, "-o", str(alone))
+        own = whole(alone)._replace(names=[""])
         first, last = own.t_ns[[0, -1]].tolist()
         rounds = [other._replace(t_ns=other.t_ns + t) for t in range(first, last, span_ns)]
         both = reduce(join, [own, *rounds])
@@ -132,7 +128,6 @@ def row(case: Case, wanted: Wanted, folder: Path) -> tuple[str, float, float]:
 
 
 def given(words: list[str]) -> Iterator[Case]:
-    """LOG[:TRAIN.toml] of the command line."""
     for word in words:
         log, _, config = word.partition(":")
         yield Case(log, Path(log), prepare(Path(config) if config else None)[0])

@@ -10,19 +10,17 @@ from __future__ import annotations
 import gzip
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import redirect_stdout
-from io import StringIO
 from itertools import count
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from bench import real_recordings, real_wheels
 from bench.real_wheels import RATED_A, TERRAIN_A
+from bench.speed import quiet
 from dbc.candump.writer import Writer
 from dbc.codec import Codec, bind
 from dbc.e2e import protect
 from dbc.frame import Frame
-from gateway import cli
 from gateway.io.prepare import prepare
 from gateway.settings.calibration import to_toml
 from gateway.settings.config import Config, parse
@@ -129,8 +127,7 @@ def _learnt(folder: Path, dbc: Path, signals: Sequence[str], log: Path, channel:
     config = folder / f"{log.stem}.toml"
     config.write_text(head + drives)
     words = ["--config", str(config), "--log-channel", channel, "--without-model"]
-    with redirect_stdout(StringIO()):
-        assert cli.main(["calibrate", str(log), *words, "-o", str(limits)]) == 0
+    quiet("calibrate", str(log), *words, "-o", str(limits))
     config.write_text(f'{head}calibration = "{limits}"\n{drives}')
     return prepare(config)[0]
 

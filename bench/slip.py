@@ -32,7 +32,6 @@ def spread(name: str, runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def library() -> None:
-    """Every track of it, of every controller."""
     runs = []
     for track in LIBRARY.values():
         runs.append(ride_with_gateway(track))
@@ -76,7 +75,6 @@ def peaks(seeds: range) -> None:
 
 
 def main(words: Sequence[str]) -> None:
-    """All of it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="1000-1099")
     parser.add_argument("--gateway", type=int, default=20)

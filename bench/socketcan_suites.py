@@ -41,7 +41,6 @@ class Suite(NamedTuple):
 
 
 def sources(name: str, folder: Path) -> Path:
-    """The unpacked sdist."""
     wanted = f"{name}=={version(name)}"
     command = [sys.executable, "-m", "pip", "download", "-q", "--no-deps", "--no-binary", ":all:"]
     subprocess.run([*command, "-d", str(folder), wanted], check=True)
@@ -52,7 +51,6 @@ def sources(name: str, folder: Path) -> Path:
 
 
 def judged(report: Path) -> Suite:
-    """What a JUnit report says of every test."""
     found: dict[str, set[str]] = {"passed": set(), "skipped": set(), "failed": set()}
     for case in ET.parse(report).iter("testcase"):
         name = f"{case.get('classname')}::{case.get('name')}"
@@ -63,7 +61,6 @@ def judged(report: Path) -> Suite:
 
 
 def run(root: Path, tests: str, tools: Path, *, inside: bool) -> Suite:
-    """The suite of one package."""
     report = root / f"{'inside' if inside else 'outside'}.xml"
     # pytest of the project would read our options: theirs only.
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p",
@@ -84,7 +81,6 @@ def run(root: Path, tests: str, tools: Path, *, inside: bool) -> Suite:
 
 
 def row(name: str, outside: Suite, inside: Suite) -> list[str]:
-    """A line of the table."""
     gained = outside.skipped & inside.passed
     lost = inside.failed - outside.failed
     for test in sorted(lost):
@@ -94,7 +90,6 @@ def row(name: str, outside: Suite, inside: Suite) -> list[str]:
 
 
 def main() -> None:
-    """Run all; print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/suites"))
     parser.add_argument("packages", nargs="*", default=list(PACKAGES))

@@ -95,7 +95,6 @@ def first_flag() -> float | None:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure: what, measured, reference, ratio."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "minute.log"
         quiet("sim", "healthy", "--duration", str(SECONDS), "-o", str(log))
@@ -132,6 +131,3 @@ def rows() -> list[tuple[str, ...]]:
         flag_row,
         restart.row(as_installed()),
     ]  # fmt: skip
-
-
-HEADER = ("figure", "measured", "reference in the same run", "ratio")

@@ -39,7 +39,6 @@ class Recorded:
     """A log cut into ticks, and gateways for it."""
 
     def __init__(self, log: Path, codec: Codec) -> None:
-        """Read all of it."""
         self.codec = codec
         self.config = Config.model_validate({"drive": [{"node": node} for node in NODES]})
         self.frames = whole(log)
@@ -48,7 +47,6 @@ class Recorded:
         self.ends = np.searchsorted(self.frames.t_ns, self.nows, "right")
 
     def gateway(self) -> Gateway:
-        """One that has seen nothing."""
         return Gateway(self.config, self.codec, self.first)
 
     def many(self) -> list[float]:
@@ -76,7 +74,6 @@ class Recorded:
         return spent
 
     def ticks(self) -> list[tuple[Block, int]]:
-        """Frames and time of each."""
         begins = [0, *self.ends.tolist()]
         parts = zip(begins, begins[1:], self.nows.tolist(), strict=False)
         return [(self.frames.part(begin, end).ordered(), now) for begin, end, now in parts]
@@ -149,13 +146,7 @@ def one_by_one(recorded: Recorded, ticks: list[tuple[Block, int]]) -> dict[str, 
     return spent
 
 
-def _mean(turns: list[list[float]]) -> float:
-    """Of all ticks, each the shortest of all turns."""
-    return float(np.min(turns, axis=0).mean())
-
-
 def rows() -> list[tuple[str, ...]]:
-    """One row per stage; the first is the whole replay."""
     with tempfile.TemporaryDirectory() as name:
         log = log_of(Path(name), "traction.dbc")
         replayed = best(partial(quiet, "replay", str(log), "-o", str(Path(name) / "out.log")))
@@ -169,7 +160,8 @@ def rows() -> list[tuple[str, ...]]:
         ("replay, log read and flags written", replayed / count),
         ("`run`, 25 ticks a call", run_s),
         ("`step`, a tick a call, frames as objects", step_s),
-        *((name, _mean([turn[name] for turn in turns])) for name in turns[0]),
+        # Of each tick the shortest of all turns.
+        *((name, np.min([t[name] for t in turns], axis=0).mean().item()) for name in turns[0]),
     ]
     return [
         (what, f"{1e6 * spent:.2f} us", f"{100.0 * spent / run_s:.0f} %") for what, spent in out

@@ -45,7 +45,6 @@ def cost(motors: int) -> tuple[float, float, float]:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One line a fleet, and what comes at once."""
     out = []
     for motors, goal in FLEETS.items():
         tick, second, block = (1e6 * spent for spent in cost(motors))

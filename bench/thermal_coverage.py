@@ -13,8 +13,8 @@ import argparse
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.model import inputs_of, predict
 from estimators.thermal.model_method import learn
 from estimators.thermal.record import Record, of_driven_motors
@@ -25,7 +25,6 @@ from gateway.study.thermal_dataset import BENCH
 from gateway.study.thermal_trials import DEVELOPMENT, REPORTING, WORLDS, runs_of
 
 MINUTE = 60
-Array = NDArray[np.float64]
 
 
 def beside(parameters: Array, run: Record) -> Array:

@@ -7,23 +7,14 @@ need more. Runs of their own: none of them is in the benchmark.
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 
+from gateway.io.workers import mapped
 from gateway.reports.scoring import stretches
+from gateway.study import thermal_trials as trials
 from gateway.study.evaluation_runs import seeds_of
 from gateway.study.thermal_dataset import BENCH, train
-from gateway.study.thermal_trials import (
-    DEVELOPMENT,
-    FIT_RUNS,
-    LIMIT,
-    METHODS,
-    REPORTING,
-    fit,
-    record_of,
-)
 
 RUNS = range(20, 25)
 """Numbers of the runs of a train."""
@@ -32,13 +23,13 @@ DAYS_A_TRAIN = len(RUNS) * BENCH.samples * BENCH.sample_s / 86_400.0
 
 def episodes(seed: int) -> list[tuple[int, int, int, int]]:
     """(train, run, begin s, length s) of every one."""
-    fits = FIT_RUNS[BENCH.name]
-    new = [record_of(train(seed, BENCH, None, n, new=True)) for n in range(fits + 1)]
-    fitted = fit(METHODS[BENCH.name]["model"], new[:fits])
-    limit = float(np.nanquantile(fitted(new[fits]), LIMIT))
+    fits = trials.FIT_RUNS[BENCH.name]
+    new = [trials.record_of(train(seed, BENCH, None, n, new=True)) for n in range(fits + 1)]
+    fitted = trials.fit(trials.METHODS[BENCH.name]["model"], new[:fits])
+    limit = float(np.nanquantile(fitted(new[fits]), trials.LIMIT))
     out = []
     for run in RUNS:
-        above = fitted(record_of(train(seed, BENCH, None, run))) > limit
+        above = fitted(trials.record_of(train(seed, BENCH, None, run))) > limit
         out += [(seed, run, a, b - a) for a, b in stretches(above)]
     return out
 
@@ -48,9 +39,8 @@ def main() -> None:
     parser.add_argument("seeds", nargs="?", default="development", help="or reporting, or A-B")
     parser.add_argument("-j", "--jobs", type=int, default=1)
     options = parser.parse_args()
-    seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
-        found = [each for some in pool.map(episodes, seeds) for each in some]
+    seeds = seeds_of(options.seeds, trials.DEVELOPMENT, trials.REPORTING)
+    found = [each for some in mapped(episodes, seeds, options.jobs) for each in some]
     for each in found:
         print("train {}, run {}: from {} s for {} s".format(*each))
     days = DAYS_A_TRAIN * len(seeds)

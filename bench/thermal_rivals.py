@@ -11,26 +11,15 @@ from __future__ import annotations
 import argparse
 import functools
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
+from gateway.io.workers import workers
+from gateway.study import thermal_trials as trials
 from gateway.study.thermal_dataset import BASES, KINDS
 from gateway.study.thermal_scores import score_alarms
-from gateway.study.thermal_trials import (
-    DEVELOPMENT,
-    HEALTHY,
-    LIMIT,
-    METHODS,
-    Runs,
-    fit,
-    record_of,
-    runs_of,
-    truth_of,
-)  # fmt: skip
 
 GRID: dict[str, dict[str, Sequence[object]]] = {
     "dpca": {
@@ -55,18 +44,18 @@ GRID: dict[str, dict[str, Sequence[object]]] = {
 
 
 @functools.cache
-def _runs(seed: int, base: str) -> Runs:
-    return runs_of(seed, BASES[base], (*KINDS, HEALTHY))
+def _runs(seed: int, base: str) -> trials.Runs:
+    return trials.runs_of(seed, BASES[base], (*KINDS, trials.HEALTHY))
 
 
 def accuracies(task: tuple[int, str, Any]) -> list[tuple[float, float, float]]:
     """(seed, base, method) -> accuracy, FPR, FNR of every run of that train."""
     seed, base, method = task
     healthy, limiting, runs = _runs(seed, base)
-    fitted = fit(method, healthy)
-    limit = float(np.nanquantile(fitted(limiting), LIMIT))
+    fitted = trials.fit(method, healthy)
+    limit = float(np.nanquantile(fitted(limiting), trials.LIMIT))
     scores = [
-        score_alarms(fitted(record_of(run)), limit, truth_of(run, BASES[base]))
+        score_alarms(fitted(trials.record_of(run)), limit, trials.truth_of(run, BASES[base]))
         for run in runs.values()
     ]
     return [(one.accuracy, one.graced_fpr, one.graced_fnr) for one in scores]
@@ -79,10 +68,10 @@ def main() -> None:
     parser.add_argument("--trains", type=int, default=10, help="development trains")
     parser.add_argument("-j", "--jobs", type=int, default=2)
     options = parser.parse_args()
-    seeds = DEVELOPMENT[: options.trains]
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+    seeds = trials.DEVELOPMENT[: options.trains]
+    with workers(options.jobs) as pool:
         for name in options.name or GRID:
-            best, least = METHODS[options.base][name], np.inf
+            best, least = trials.METHODS[options.base][name], np.inf
             for _ in range(2):
                 before = best
                 for parameter, values in GRID[name].items():

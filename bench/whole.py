@@ -37,32 +37,27 @@ began = time.perf_counter()
 pid = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=act)
 _, status, usage = os.wait4(pid, 0)
 spent = time.perf_counter() - began
-busy = usage.ru_utime + usage.ru_stime
-print(json.dumps([spent, usage.ru_maxrss / 1024, busy, os.waitstatus_to_exitcode(status)]))
+print(json.dumps([spent, usage.ru_maxrss / 1024, os.waitstatus_to_exitcode(status)]))
 """
 
 
 class Spent(NamedTuple):
-    """Of a whole process: s, MB at its peak, s of processor time."""
+    """Of a whole process: s, MB at its peak."""
 
     seconds: float
     peak_mb: float
-    busy_s: float
 
 
-def process(*words: str, folder: Path | None = None) -> Spent:
-    """A process of Python, run in that folder. Raises AssertionError unless it ends with 0."""
+def process(*words: str) -> Spent:
+    """A process of Python. Raises AssertionError unless it ends with 0."""
     command = [sys.executable, "-I", "-S", "-c", _MEASURE, sys.executable, *words]
-    done = subprocess.run(
-        command, check=True, capture_output=True, text=True, env=as_installed(), cwd=folder
-    )
-    seconds, peak, busy, code = json.loads(done.stdout)
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=as_installed())
+    seconds, peak, code = json.loads(done.stdout)
     assert code == 0, (words, done.stderr)
-    return Spent(seconds, peak, busy)
+    return Spent(seconds, peak)
 
 
 def ours(*words: str) -> tuple[str, ...]:
-    """One of our commands."""
     return ("-m", "gateway", *words)
 
 
@@ -145,7 +140,6 @@ def _peak(spent: Sequence[Spent]) -> str:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure."""
     with tempfile.TemporaryDirectory() as name:
         against_chain, chain_hz = short(Path(name))
         return [*starts(), *against_chain, *long(Path(name), chain_hz)]

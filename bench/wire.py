@@ -11,6 +11,7 @@ import resource
 import shutil
 import tempfile
 import time
+from functools import reduce
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +29,6 @@ from gateway.core.supervision import Supervision
 from gateway.settings.config import shipped_dbc
 from tests.stations import Inbox
 
-HEADER = ("figure", "measured", "reference in the same run", "ratio")
 SECONDS: Final = 60.0
 PIECE: Final = 8192
 """Frames that are decoded together: a block of the reader."""
@@ -70,15 +70,10 @@ def log_of(folder: Path, dbc: str, seconds: float = SECONDS) -> Path:
 
 
 def whole(log: Path) -> Block:
-    """All frames of a log."""
-    out = EMPTY
-    for block in Reader(log).blocks():
-        out = join(out, block)
-    return out
+    return reduce(join, Reader(log).blocks(), EMPTY)
 
 
 def lines(log: Path) -> list[tuple[str, ...]]:
-    """Reading alone."""
     frames = whole(log).size
     ours = best(lambda: sum(block.size for block in Reader(log).blocks()), 7)
     theirs = best(lambda: sum(1 for _ in can.LogReader(log)), 2)
@@ -113,8 +108,33 @@ def _drain(packed: Path) -> None:
             pass
 
 
+def decoding(
+    codec: Codec, dbc: Path, index: np.ndarray, payload: np.ndarray
+) -> tuple[float, float, int]:
+    """s of all messages by us, s of the first FEW by cantools, and the signals in those.
+
+    index: of each message in the codec.
+    """
+    database = cantools.database.load_file(dbc)
+    known = [database.get_message_by_name(spec.name) for spec in codec.messages]
+    some = [
+        (known[i], data.tobytes()[: codec.messages[i].length])
+        for i, data in zip(index[:FEW].tolist(), payload[:FEW], strict=True)
+    ]
+
+    def ours() -> None:
+        for k in range(0, len(index), PIECE):
+            codec.decode_rows(index[k : k + PIECE], payload[k : k + PIECE])
+
+    def theirs() -> None:
+        for message, data in some:
+            message.decode(data)
+
+    signals = sum(len(message.decode(data)) for message, data in some)
+    return best(ours, 7), best(theirs, 3), signals
+
+
 def decoded(log: Path, dbc: str) -> list[tuple[str, ...]]:
-    """Decoding alone."""
     path = shipped_dbc(dbc)
     codec = bind(path, (1, 2, 3))
     frames = whole(log)
@@ -122,28 +142,11 @@ def decoded(log: Path, dbc: str) -> list[tuple[str, ...]]:
     index = number[number >= 0].astype(np.int32)
     payload = np.ascontiguousarray(frames.data[number >= 0])
     signals = np.array([len(spec.signals) for spec in codec.messages])[index]
-
-    def ours() -> None:
-        for k in range(0, len(index), PIECE):
-            codec.decode_rows(index[k : k + PIECE], payload[k : k + PIECE])
-
-    database = cantools.database.load_file(path)
-    by_id = {message.frame_id: message for message in database.messages}
-    some = [
-        (by_id[codec.messages[i].can_id], data.tobytes()[: codec.messages[i].length])
-        for i, data in zip(index[:FEW].tolist(), payload[:FEW], strict=True)
-    ]
-
-    def theirs() -> None:
-        for message, data in some:
-            message.decode(data)
-
-    rate = signals.sum() / best(ours, 7)
+    ours, theirs, _ = decoding(codec, path, index, payload)
+    rate = signals.sum() / ours
     name = f"decode, {'FD' if codec.fd else 'classic'}"
     out = [
-        _against(
-            name, rate, signals[:FEW].sum() / best(theirs, 3), "signals/s", "cantools",
-        ),
+        _against(name, rate, signals[:FEW].sum() / theirs, "signals/s", "cantools"),
         *_asammdf(name, log, path, rate, int(signals.sum())),
     ]  # fmt: skip
     taken = best(lambda: _taken(codec, frames), 3)
@@ -163,29 +166,16 @@ def mixed(folder: Path) -> tuple[str, ...]:
     index = rng.integers(0, len(codec.messages), MIXED_FRAMES).astype(np.int32)
     payload = np.zeros((MIXED_FRAMES, 64), dtype=np.uint8)
     payload[:, :8] = rng.integers(0, 256, (MIXED_FRAMES, 8))
-
-    def ours() -> None:
-        for k in range(0, MIXED_FRAMES, PIECE):
-            codec.decode_rows(index[k : k + PIECE], payload[k : k + PIECE])
-
-    database = cantools.database.load_file(path)
-    by_name = [database.get_message_by_name(spec.name) for spec in codec.messages]
-    some = [(by_name[i], payload[k, :8].tobytes()) for k, i in enumerate(index[:FEW].tolist())]
+    ours, theirs, signals = decoding(codec, path, index, payload)
     # A switched message has only the signals of its switch.
-    each = sum(len(message.decode(data)) for message, data in some) / FEW
-
-    def theirs() -> None:
-        for message, data in some:
-            message.decode(data)
-
+    each = signals / FEW
     return _against(
-        "decode, both byte orders, multiplexed", each * MIXED_FRAMES / best(ours, 7),
-        each * FEW / best(theirs, 3), "signals/s", "cantools",
+        "decode, both byte orders, multiplexed", each * MIXED_FRAMES / ours, signals / theirs,
+        "signals/s", "cantools",
     )  # fmt: skip
 
 
 def _taken(codec: Codec, frames: Block) -> None:
-    """Through the inbox, tick by tick."""
     inbox = Inbox(codec, (1, 2, 3), 10 * MS, Supervision((1, 2, 3), 300 * MS))
     first, last = frames.t_ns.item(0), frames.t_ns.item(-1)
     ends = np.arange(first, last + 10 * MS, 10 * MS)
@@ -230,7 +220,6 @@ def _against(
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per figure."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         classic = log_of(folder, "traction.dbc")

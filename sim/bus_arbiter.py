@@ -37,7 +37,6 @@ class Arbiter:
         self._waiting: dict[int, Frame] = {}
         self._sending: Frame | None = None
         self._free_ns: Nanos = 0
-        self.overwritten = 0
 
     def offer(self, frames: list[Frame]) -> None:
         """Offer frames, in any order; their `t_ns` is the time at which they are ready."""
@@ -64,7 +63,6 @@ class Arbiter:
                     break
                 while coming and coming[0][0] <= start:
                     frame = heapq.heappop(coming)[3]
-                    self.overwritten += frame.can_id in waiting
                     waiting[frame.can_id] = frame
                 frame = waiting.pop(min(waiting))
                 took = duration_ns(len(frame.data), frame.flags, self._bitrate, self._data_bitrate)

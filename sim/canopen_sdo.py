@@ -27,6 +27,8 @@ OBJECTS: Final = {
 }  # fmt: skip
 """Manufacturer objects: one record per message, sub-index k = its k-th signal in bit order."""
 TPDO: Final = {0x1800 + k: kind for k, kind in enumerate(OBJECTS.values())}
+COB: Final = dict(zip(TPDO, (0x180, 0x280, 0x380, 0x480, 0x1C0), strict=True))
+"""COB-ID of a TPDO in this message set, for node 0."""
 NOT_VALID: Final = 1 << 31
 HEARTBEAT_TIME: Final = 0x1017
 Read = Callable[[str], tuple[MessageSpec, bytes] | None]
@@ -54,13 +56,9 @@ class SdoServer:
     """Answers the requests to one node. `read` returns (spec, last payload) of a message kind."""
 
     def __init__(
-        self,
-        number: int,
-        specs: Mapping[str, MessageSpec],
-        read: Read,
-        error: Callable[[], int],
-        heartbeat: Callable[[int], None],
-    ) -> None:
+        self, number: int, specs: Mapping[str, MessageSpec], read: Read,
+        error: Callable[[], int], heartbeat: Callable[[int], None],
+    ) -> None:  # fmt: skip
         """error: returns the error register; heartbeat: takes a period written by a client, ms."""
         self.number = number
         self._specs, self._read = specs, read
@@ -90,10 +88,8 @@ class SdoServer:
             return self._error()
         if index in TPDO:
             spec = self._specs.get(TPDO[index])
-            if subindex == 1 and spec is None:
-                return NOT_VALID | _cob(index, self.number)
-            if subindex == 1 and spec is not None:
-                return spec.can_id
+            if subindex == 1:
+                return spec.can_id if spec else NOT_VALID | COB[index] + self.number
             if subindex == 5 and spec is not None:
                 return min(math.ceil(spec.cycle_ns / 1e6), 0xFFFF)
             return None
@@ -104,9 +100,8 @@ class SdoServer:
             spec, payload = last
             signal = spec.signals[subindex - 1]
             raw = int.from_bytes(payload, "little") >> signal.start & ((1 << signal.length) - 1)
-            return (
-                raw - (1 << signal.length) if signal.is_signed and raw >> signal.length - 1 else raw
-            )
+            negative = signal.is_signed and raw >> signal.length - 1
+            return raw - (1 << signal.length) if negative else raw
         return None
 
 
@@ -114,9 +109,3 @@ class SdoServer:
 def _dictionary(number: int) -> Any:
     """Objects of a node, as in the EDS; each node keeps its own values."""
     return canopen.import_od(str(EDS), number)
-
-
-def _cob(index: int, number: int) -> int:
-    """COB-ID of a TPDO in this message set."""
-    base = (0x180, 0x280, 0x380, 0x480, 0x1C0)[index - 0x1800]
-    return base + number

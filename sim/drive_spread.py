@@ -6,14 +6,12 @@ May know: scenarios. May not know: bits, buses, clocks, the plant's state.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from sim.physics.plant import SLIP_LIMITERS, Motor, parameters, set_slip_limiter
 from sim.physics.sensors import PHASES
 from sim.scenario import Scenario
 from sim.scenario_schema import Curve, Factors
-
-Array = NDArray[np.float64]
 
 _R_S, _L_S, _PSI, _SHARE, _WHEEL, _OFFSET, _GAIN = 6, 7, 8, 9, 12, 13, 14
 """Purposes of the random streams: one generator per purpose and drive."""

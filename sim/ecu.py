@@ -16,8 +16,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from dbc.codec import Codec
 from dbc.e2e import Check, Receiver, SmState, crc_ok, protect
 from dbc.frame import BRS, FD, MS, Frame, Nanos
@@ -29,7 +29,6 @@ from sim.measurements import CURRENTS, SAMPLES, VOLTAGES, Values
 if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
 
-Array = NDArray[np.float64]
 
 FLAG_TIMEOUT_NS: Final[Nanos] = 40 * MS
 LATENCY_NS: Final[Nanos] = 30_000
@@ -45,15 +44,9 @@ class Ecu:
     """One drive's ECU. `index` counts drives from 0, `node` is its CANopen number."""
 
     def __init__(
-        self,
-        node: int,
-        index: int,
-        codec: Codec,
-        wire: WireFaults,
-        *,
-        self_start: bool,
+        self, node: int, index: int, codec: Codec, wire: WireFaults, *, self_start: bool,
         verifier: Verifier | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Boots at time 0. verifier: selects the authentic flag frames; None: all count."""
         self.node, self._wire = node, wire
         self.codec = codec
@@ -68,11 +61,8 @@ class Ecu:
         adhesion = codec.by_name.get("Gateway_Adhesion")
         self._adhesion = adhesion
         self._receiver = Receiver(adhesion) if adhesion else None
-        signal = next(
-            (s for s in adhesion.signals if s.name == f"Adhesion{node}") if adhesion else iter(()),
-            None,
-        )
-        self._shift = signal.start if signal else 0
+        signals = adhesion.signals if adhesion else ()
+        self._shift = next((s.start for s in signals if s.name == f"Adhesion{node}"), 0)
         self.verifier = verifier
         self._vouched = {
             spec.can_id: spec
@@ -138,11 +128,11 @@ class Ecu:
             self._flag = int.from_bytes(frame.data, "little") >> self._shift & 3
             self._flag_ns = now_ns
 
-    def cut(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def cut(self, t_ns: Ints) -> Flags:
         """(n,) whether the limiter is commanded down at times `t_ns` (n,)."""
         if self._flag != LOST or self._flag_ns is None:
             return np.zeros(len(t_ns), np.bool_)
-        out: NDArray[np.bool_] = t_ns < self._flag_ns + FLAG_TIMEOUT_NS
+        out: Flags = t_ns < self._flag_ns + FLAG_TIMEOUT_NS
         return out
 
     def flag(self, t_ns: Nanos) -> int:
@@ -167,7 +157,7 @@ class Ecu:
         """The frame of a sampling instant, ready for the bus; None where nothing is sent."""
         return self._frame(kind, instant_ns, self.codec.encode(self.specs[kind], values))
 
-    def block(self, kind: str, instants_ns: NDArray[np.int64], values: Array) -> list[Frame]:
+    def block(self, kind: str, instants_ns: Ints, values: Array) -> list[Frame]:
         """The frames of n instants (n,) of a fast message; values (n, S), columns FAST[kind]."""
         payloads = self.codec.encode_rows(self.specs[kind], FAST[kind], values)
         pairs = zip(instants_ns.tolist(), payloads, strict=True)

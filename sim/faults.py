@@ -9,15 +9,12 @@ from bisect import insort
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from sim.physics import sensors, thermal
 from sim.physics.adhesion import Rail, rail
 from sim.physics.plant import DT, Motor
 from sim.scenario import Event, Scenario
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _LOSS, _CORRUPT = 4, 5
 """Purposes of the random streams."""
@@ -70,6 +67,13 @@ class Schedule:
     def _active(self, kind: str, t_s: float) -> list[tuple[Event, list[int]]]:
         return [(e, d) for e, d in self._by_kind.get(kind, ()) if e.at_s <= t_s < e.end_s]
 
+    def _drives(self, kind: str, t_s: float, sensor: str | None = None) -> Flags:
+        """(N,) drives with such an event now."""
+        out = np.zeros(self._n, np.bool_)
+        for event, who in self._active(kind, t_s):
+            out[who] |= event.sensor == sensor
+        return out
+
     def carry(self, t_s: Array, healthy_nm: Array) -> Array:
         """(n, N) share of the train's demand that the rail carries at times `t_s` (n,).
 
@@ -111,10 +115,7 @@ class Schedule:
 
     def open_phase(self, t_s: float) -> Flags:
         """(N,) drives whose phase a is open."""
-        out = np.zeros(self._n, np.bool_)
-        for _, who in self._active("phase_open", t_s):
-            out[who] = True
-        return out
+        return self._drives("phase_open", t_s)
 
     def brake(self, t_s: float) -> Array:
         """(N,) torque of the friction brakes, Nm at the motor's shaft."""
@@ -149,28 +150,22 @@ class Schedule:
 
     def temperature_faults(self, t_s: float) -> tuple[Array, Flags, Flags]:
         """(N, 4) bias K, stuck, lost of the temperature sensors."""
-        bias = np.zeros((self._n, sensors.POINTS))
-        stuck = np.zeros((self._n, sensors.POINTS), np.bool_)
-        lost = np.zeros((self._n, sensors.POINTS), np.bool_)
+        bias, flags = np.zeros((self._n, sensors.POINTS)), {}
         for event, who, point in self._points("sensor_bias", t_s):
             bias[who, point] += event.number
-        for _, who, point in self._points("sensor_stuck", t_s):
-            stuck[who, point] = True
-        for _, who, point in self._points("sensor_lost", t_s):
-            lost[who, point] = True
-        return bias, stuck, lost
+        for kind in ("sensor_stuck", "sensor_lost"):
+            flags[kind] = np.zeros(bias.shape, np.bool_)
+            for _, who, point in self._points(kind, t_s):
+                flags[kind][who, point] = True
+        return bias, flags["sensor_stuck"], flags["sensor_lost"]
 
     def current_faults(self, t_s: float) -> tuple[Array, Flags, Flags]:
         """(N,) bias A and stuck of phase a, and lost (all phases)."""
         bias = np.zeros(self._n)
-        stuck = np.zeros(self._n, np.bool_)
-        lost = np.zeros(self._n, np.bool_)
         for event, who in self._active("sensor_bias", t_s):
             if event.sensor == "current":
                 bias[who] += event.number
-        for kind, out in (("sensor_stuck", stuck), ("sensor_lost", lost)):
-            for event, who in self._active(kind, t_s):
-                out[who] |= event.sensor == "current"
+        stuck, lost = (self._drives(k, t_s, "current") for k in ("sensor_stuck", "sensor_lost"))
         return bias, stuck, lost
 
     @property

@@ -63,16 +63,10 @@ class Truth(NamedTuple):
 
     def text(self) -> tuple[str, ...]:
         """Cells of the truth file."""
+        train = (self.creep, self.train_speed_m_s)
         return (
-            f"{self.t_s:.3f}",
-            str(self.drive),
-            f"{self.speed_rad_s:.5f}",
-            f"{self.angle_rad:.5f}",
-            f"{self.load_nm:.4f}",
-            str(self.lost),
-            str(self.fault_class),
-            f"{self.true_effect_k:.4f}",
-            str(self.cut),
-            "" if math.isnan(self.creep) else f"{self.creep:.5f}",
-            "" if math.isnan(self.train_speed_m_s) else f"{self.train_speed_m_s:.5f}",
-        )
+            f"{self.t_s:.3f}", str(self.drive), f"{self.speed_rad_s:.5f}",
+            f"{self.angle_rad:.5f}", f"{self.load_nm:.4f}", str(self.lost), str(self.fault_class),
+            f"{self.true_effect_k:.4f}", str(self.cut),
+            *("" if math.isnan(value) else f"{value:.5f}" for value in train),
+        )  # fmt: skip

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from sim.drive_spread import Variety
 from sim.faults import Schedule
 from sim.physics import plant as columns
@@ -17,7 +17,6 @@ from sim.physics import sensors, thermal
 from sim.physics.thermal import ThermalTrain
 from sim.scenario import Scenario
 
-Array = NDArray[np.float64]
 Values = dict[str, float | int | None]
 VALID = 1
 """`Quality`."""
@@ -29,11 +28,9 @@ FULL_CIRCLE_DEG = 359.995
 CURRENTS = ("Quality", "Ia", "Ib", "Ic")
 VOLTAGES = ("Quality", "Ualpha", "Ubeta", "Udc")
 SAMPLES = (
-    "Quality",
-    "SampleIndex",
-    "Udc",
+    "Quality", "SampleIndex", "Udc",
     *(f"{name}_{k}" for k in range(8) for name in ("Ia", "Ib", "Ualpha", "Ubeta")),
-)
+)  # fmt: skip
 POINTS = ("Tstator", "Tde", "Tnde", "Tambient")
 
 
@@ -49,12 +46,7 @@ class Readings:
         self._schedule, self._heat, self._n = schedule, heat, n
         self._torque_scale = variety.torque_scale
         self._currents = sensors.CurrentSensors(
-            scenario.seed,
-            n,
-            s.current_noise_var,
-            variety.offset,
-            variety.gain,
-            s.current_range_a,
+            scenario.seed, n, s.current_noise_var, variety.offset, variety.gain, s.current_range_a
         )
         self._temperatures = sensors.TemperatureSensors(
             scenario.seed, t.train_seed, n, s.temperature_noise_k, s.temperature_offset_k
@@ -120,10 +112,9 @@ class Readings:
         readings = self._held_temperature.apply(readings + bias, stuck)
         out: list[Values] = []
         for row, gone in zip(readings.tolist(), lost.tolist(), strict=True):
-            values: Values = {"Quality": VALID}
-            for name, value, missing in zip(POINTS, row, gone, strict=True):
-                values[name] = None if missing else value
-            out.append(values)
+            points = zip(POINTS, row, gone, strict=True)
+            known = {name: None if missing else value for name, value, missing in points}
+            out.append({"Quality": VALID, **known})
         return out
 
     def fault_effect(self, t_s: float) -> Array:

@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from sim.scenario import Scenario
 from sim.scenario_schema import Load
-
-Array = NDArray[np.float64]
 
 
 class Profile:

@@ -320,16 +320,16 @@ def find(name: str) -> Scenario:
 
     Raises ScenarioError.
     """
-    if Path(name).is_file() or name.endswith(".toml"):
-        return load(name)
-    return builtin(name)
+    return load(name) if _is_file(name) else builtin(name)
 
 
 def path_of(name: str) -> Path:
     """Path of the file that `find` reads. The file is not opened."""
-    if Path(name).is_file() or name.endswith(".toml"):
-        return Path(name)
-    return _SCENARIOS / f"{name}.toml"
+    return Path(name) if _is_file(name) else _SCENARIOS / f"{name}.toml"
+
+
+def _is_file(name: str) -> bool:
+    return Path(name).is_file() or name.endswith(".toml")
 
 
 def load(path: Path | str) -> Scenario:

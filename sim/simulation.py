@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
 from sim.bus_arbiter import Arbiter
@@ -34,7 +34,6 @@ from sim.scenario import NEEDS_RAIL, Event, Scenario, ScenarioError
 if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
 
-Array = NDArray[np.float64]
 PERIOD_NS: Final[Nanos] = 125_000
 BEYOND_ANY: Final = 1e9
 """A, V, Nm, rad: far above any drive's values."""
@@ -85,16 +84,11 @@ class Simulation:
         self._schedule = Schedule(scenario, motor)
         self._profile = Profile(scenario, motor.pole_pairs)
         self._wires = [WireFaults(self._schedule, scenario.seed, k) for k in range(n)]
+        verifiers = [verifier() if verifier else None for _ in range(n)]
+        parts = enumerate(zip(self.nodes, self._wires, verifiers, strict=True))
         self._ecus = [
-            Ecu(
-                node,
-                k,
-                codec,
-                wire,
-                self_start=self_start,
-                verifier=verifier() if verifier else None,
-            )
-            for k, (node, wire) in enumerate(zip(self.nodes, self._wires, strict=True))
+            Ecu(node, k, codec, wire, self_start=self_start, verifier=own)
+            for k, (node, wire, own) in parts
         ]
         self._cycles = _cycles(self._ecus, slow=scenario.traffic == "slow")
         self._variety = Variety(scenario, motor)
@@ -173,9 +167,9 @@ class Simulation:
         t_s = _seconds(at_ns)
         if first % GRID == 0:
             self._rails = self._schedule.rails(float(t_s[0]))
-            self._plant.set_share(self._variety.share(float(t_s[0])))
-            self._plant.set_open(self._schedule.open_phase(float(t_s[0])))
-            self._plant.set_brake(self._schedule.brake(float(t_s[0])))
+            self._plant.p.share = self._variety.share(float(t_s[0]))
+            self._plant.p.phase_a_open = self._schedule.open_phase(float(t_s[0]))
+            self._plant.p.brake_nm = self._schedule.brake(float(t_s[0]))
         w_ref, w_acc, load = self._profile.at(t_s)
         cut = np.stack([ecu.cut(at_ns) for ecu in self._ecus], axis=1)
         rails = np.repeat(rail_array(self._rails)[None], count, axis=0)
@@ -245,7 +239,7 @@ class Simulation:
             times, values = zip(*points, strict=True)
             self._heat.set_ambient(float(np.interp(t_s, times, values)))
 
-    def _depth(self, losing: NDArray[np.bool_], t_s: float) -> list[float]:
+    def _depth(self, losing: Flags, t_s: float) -> list[float]:
         """(N,) share of the demand that losses and disturbances take away now."""
         if not losing.any():
             return [0.0] * len(self.nodes)
@@ -323,11 +317,11 @@ class Simulation:
         return self._readings.status(row, history[:used].mean(axis=0), codes)
 
 
-def _seconds(t_ns: NDArray[np.int64]) -> Array:
+def _seconds(t_ns: Ints) -> Array:
     return np.asarray(t_ns * 1e-9, dtype=np.float64)
 
 
-def start_angles(scenario: Scenario) -> NDArray[np.float64]:
+def start_angles(scenario: Scenario) -> Array:
     """(N,) electrical angles of the rotors at the start, rad, drawn by the scenario's seed."""
     streams = ([scenario.seed, ANGLE_STREAM, d] for d in range(scenario.drives))
     return np.array([np.random.default_rng(s).uniform(0.0, 2.0 * math.pi) for s in streams])
@@ -345,14 +339,10 @@ def _plant(
         return None, QuasiStatic(motor, theta, load[0])
     rolling = scenario.motion.start == "rolling"
     full = Plant(
-        motor,
-        theta,
-        on_rail=scenario.load.kind == "rail",
-        w_0=w_ref[0] if rolling else 0.0,
-        load_0=load[0],
+        motor, theta, on_rail=scenario.load.kind == "rail", w_0=w_ref[0] if rolling else 0.0,
+        load_0=load[0], p=variety.p,
         train=TRAIN if scenario.motor.own else TRAINS.get(scenario.motor.name, TRAIN),
-        p=variety.p,
-    )
+    )  # fmt: skip
     return full, None
 
 

@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         from gateway.settings.config import ConfigError
         from gateway.study.evaluation_runs import seeds_of
         from gateway.study.thermal_dataset import CREEP, KINDS
-        from gateway.study.thermal_scores import cells, table
+        from gateway.study.thermal_scores import COLUMNS, cells, table_of
         from gateway.study.thermal_trials import (
             DEVELOPMENT,
             HEALTHY,
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
             if own:
                 lines.append(cells(method, kind, own))
     left_out = [method for method in methods if not any(t.method == method for t in found)]
-    text = "\n\n".join([table(lines), *_more(found, kinds, methods)])
+    text = "\n\n".join([table_of(COLUMNS, lines), *_more(found, kinds, methods)])
     print(text)
     for method in left_out:
         say.print(f"left out: {method}: its library is not installed", markup=False)

@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         scenario = scenario.model_copy(update={"seed": options.seed})
     outcome = reproduce(scenario, options.output)
     print(table_text(outcome.cells))
-    print(agreement(outcome.cells).text())
+    print(agreement(outcome.cells))
     print(f"report: {options.output / 'report.html'}")
     console().print(f"done in {time.perf_counter() - began:.0f} s")
     return GOOD

@@ -138,13 +138,9 @@ def _has_certificate() -> bool:
 
 
 def send(
-    todo: Sequence[Job],
-    settings: Settings,
-    jobs: int,
-    scheduler: str | None,
-    work: Work,
+    todo: Sequence[Job], settings: Settings, jobs: int, scheduler: str | None, work: Work,
     after: After,
-) -> None:
+) -> None:  # fmt: skip
     """Run all of `todo`, one task per log; see `gateway.fleet.run.run`.
 
     A worker takes one log at a time, so that its death affects no other log. Logs at which workers
@@ -199,13 +195,9 @@ def _prepare(client: Client, settings: Settings) -> None:
 
 
 def _flow(
-    client: Client,
-    todo: Sequence[Job],
-    settings: Settings,
-    work: Work,
-    turn: int,
+    client: Client, todo: Sequence[Job], settings: Settings, work: Work, turn: int,
     ended: Callable[[Job, Row | BaseException], None],
-) -> None:
+) -> None:  # fmt: skip
     """Run as many tasks at once as there are threads, in a later `turn` one, until all ended."""
     waiting = deque(todo)
     going: dict[str, Job] = {}

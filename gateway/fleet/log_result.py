@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.frame import MS, Nanos
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Health, Reason
 from gateway.core.flags import FlagKind
@@ -30,8 +31,6 @@ EVERY_NS: Final[Nanos] = 100 * MS
 GROUP: Final = 30_000
 """Rows that are kept in memory before they are written."""
 
-Array = NDArray[np.float64]
-
 
 def _words(kind: Iterable[Any]) -> list[str]:
     return [camel(member.name) for member in kind]
@@ -39,10 +38,7 @@ def _words(kind: Iterable[Any]) -> list[str]:
 
 _WORDS: Final[dict[str, list[str]]] = {
     "adhesion": list(ADHESION.values()),
-    "thermal": list(FAULT.values()),
-    "sensor": list(FAULT.values()),
-    "comm": list(FAULT.values()),
-    "estimator": list(FAULT.values()),
+    **{flag: list(FAULT.values()) for flag in ("thermal", "sensor", "comm", "estimator")},
     "reason": _words(Reason),
     "health": _words(Health),
     "fault_class": _words(FaultClass),

@@ -62,13 +62,9 @@ def plan(paths: Sequence[Path], settings: Settings, *, force: bool) -> Plan:
 
 
 def run(
-    planned: Plan,
-    settings: Settings,
-    jobs: int,
-    scheduler: str | None,
-    after: Callable[[Job, Row], None],
-    work: Work = one_log,
-) -> None:
+    planned: Plan, settings: Settings, jobs: int, scheduler: str | None,
+    after: Callable[[Job, Row], None], work: Work = one_log,
+) -> None:  # fmt: skip
     """Run the jobs to be done; `after` is called with every log as it ends, in any order.
 
     jobs: number of local processes, unless `scheduler` gives an address. Raises ConfigError if a

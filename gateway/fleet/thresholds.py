@@ -55,30 +55,12 @@ class Measured(NamedTuple):
     settings: str
 
 
-class _Tally:
-    """Probabilities of one drive, as a histogram."""
-
-    def __init__(self) -> None:
-        self.bins = np.zeros(BINS, dtype=np.int64)
-        self.largest = 0.0
-
-    def add(self, samples: Array, peaks: Array) -> None:
-        """Add loss probabilities, both (n,), NaN: not known."""
-        known = samples[~np.isnan(samples)]
-        self.bins += np.histogram(known, BINS, (0.0, 1.0))[0]
-        self.largest = max(self.largest, np.max(peaks, initial=0.0, where=~np.isnan(peaks)).item())
-
-    def merge(self, other: _Tally) -> None:
-        """Add another drive's histogram."""
-        self.bins += other.bins
-        self.largest = max(self.largest, other.largest)
-
-    def seen(self) -> Seen:
-        """Summary, with the upper edge of its bin as the quantile."""
-        total = int(self.bins.sum())
-        place = int(np.searchsorted(np.cumsum(self.bins), QUANTILE * total))
-        quantile = min((place + 1) / BINS, 1.0) if total else 0.0
-        return Seen(quantile, self.largest, total * EVERY_NS / 3.6e12)
+def _seen(bins: Array, largest: float) -> Seen:
+    """Summary of a histogram (BINS,), with the upper edge of its bin as the quantile."""
+    total = int(bins.sum())
+    place = int(np.searchsorted(np.cumsum(bins), QUANTILE * total))
+    quantile = min((place + 1) / BINS, 1.0) if total else 0.0
+    return Seen(quantile, largest, total * EVERY_NS / 3.6e12)
 
 
 def measure(folder: Path, *, force: bool) -> Measured:
@@ -104,25 +86,24 @@ def measure(folder: Path, *, force: bool) -> Measured:
         more = [f"and {len(problems) - SHOWN} logs more"] if len(problems) > SHOWN else []
         cure = "take other logs, or --force if these are false"
         raise ConfigError("the fleet is not healthy", [*problems[:SHOWN], *more, cure])
-    tallies = {node: _Tally() for node in config.nodes}
-    steps = [0.0, 0.0]
-    rated = [config.motors[drive.motor].T_rated for drive in config.drive]
+    drives = len(config.nodes)
+    bins, largest = np.zeros((drives, BINS), dtype=np.int64), np.zeros(drives)
+    steps = np.zeros(2)
+    rated = np.array([config.motors[drive.motor].T_rated for drive in config.drive])
     for samples in _logs(folder, done):
-        for node, tally in tallies.items():
+        for k, node in enumerate(config.nodes):
             mine = samples["drive"] == node
-            tally.add(samples["loss_probability"][mine], samples[PEAK][mine])
-        total, count = _steps(samples, config.nodes, np.array(rated))
-        steps = [steps[0] + total, steps[1] + count]
-    fleet = _Tally()
-    for tally in tallies.values():
-        fleet.merge(tally)
-    if not fleet.bins.any():
+            known, peaks = samples["loss_probability"][mine], samples[PEAK][mine]
+            bins[k] += np.histogram(known[~np.isnan(known)], BINS, (0.0, 1.0))[0]
+            largest[k] = np.max(peaks, initial=largest[k], where=~np.isnan(peaks))
+        steps += _steps(samples, config.nodes, rated)
+    if not bins.any():
         raise ConfigError(str(table), ["no drive's loss probability was known in any log"])
     spread = BASE_NM * math.sqrt(steps[0] / steps[1]) if steps[1] else None
-    drives = {node: tally.seen() for node, tally in tallies.items()}
+    seen = map(_seen, bins, largest.tolist())
     return Measured(
-        drives, fleet.seen(), spread, len(done), len(rows) - len(done), config.adhesion,
-        metadata.get("settings", ""),
+        dict(zip(config.nodes, seen, strict=True)), _seen(bins.sum(axis=0), float(largest.max())),
+        spread, len(done), len(rows) - len(done), config.adhesion, metadata.get("settings", ""),
     )  # fmt: skip
 
 

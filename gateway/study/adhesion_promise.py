@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Ints
 from estimators.adhesion_promise import promise_of
 from estimators.tolerance import Promise
 from gateway.core.gateway import Gateway
@@ -32,7 +32,7 @@ class Kept(NamedTuple):
         return self.alarms <= self.promise.rate * self.minutes / 60_000.0
 
 
-def measured(plan: Plan, after_run: Callable[[], None] = lambda: None) -> NDArray[np.int64]:
+def measured(plan: Plan, after_run: Callable[[], None] = lambda: None) -> Ints:
     """(M,) longest evidence of a loss in each minute of the plan's runs, ms; one detector.
 
     Raises ConfigError for a family in which adhesion is lost.
@@ -56,7 +56,7 @@ def measured(plan: Plan, after_run: Callable[[], None] = lambda: None) -> NDArra
     return evidence.longest_ms
 
 
-def splits(longest_ms: NDArray[np.int64], rate: float, seed: int = 0) -> list[Kept]:
+def splits(longest_ms: Ints, rate: float, seed: int = 0) -> list[Kept]:
     """`SPLITS` random halves: one half sets the time of the flag, the other is judged.
 
     longest_ms: at least two minutes.

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from dbc.arrays import Array, Flags, Ints
 from estimators import maisd
 from estimators.thermal import model
 from estimators.thermal.model_method import learn
@@ -54,9 +54,6 @@ NO_HOUR = (
 )
 SPAN_K = 5.0
 """Least range of the fleet's mean over the logs with which a gain is learnt."""
-
-
-Array = NDArray[np.float64]
 
 
 class Sample(NamedTuple):
@@ -103,7 +100,7 @@ class Learner:
         self.means.append([])
         self.seconds.append([])
 
-    def add(self, cycles: Cycles, fitted: NDArray[np.bool_], dt_s: float) -> None:
+    def add(self, cycles: Cycles, fitted: Flags, dt_s: float) -> None:
         """Add the next temperature cycles of the log.
 
         fitted: (M, P) which sensors exist; dt_s: time from one `Sample` to the next.
@@ -271,19 +268,19 @@ class Learner:
         )  # fmt: skip
 
 
-def _times_cut_out(runs: Sequence[Record]) -> NDArray[np.int64]:
+def _times_cut_out(runs: Sequence[Record]) -> Ints:
     """(M,) number of runs in which each motor turned without current."""
     return np.asarray(np.sum([cut_out(run) for run in runs], axis=0, dtype=np.int64))
 
 
-def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _held(values: Array) -> Array:
     """Values (L, M) with gaps filled by the last number; NaN before the first number."""
     rows = np.arange(len(values))[:, None]
     last = np.maximum.accumulate(np.where(np.isfinite(values), rows, 0), axis=0)
     return np.take_along_axis(values, last, axis=0)
 
 
-def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+def _three(values: Array) -> tuple[float, float, float]:
     """Values of the three points as a tuple of floats, as in the calibration."""
     return (float(values[0]), float(values[1]), float(values[2]))
 

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.model import inputs_of, predict
 from estimators.thermal.monitor import MOST_FALSE, Coverage, Known
 from estimators.thermal.record import POINTS, Record, mean_of_known
 from estimators.thermal.system_identification import first_readings
-
-Array = NDArray[np.float64]
 
 LEAST_INSIDE: Final = 0.8
 """Least share of the second half within two sigma; normal errors would be inside for 95 %."""
@@ -119,26 +117,18 @@ def lines(found: Sequence[Fit]) -> list[str]:
 
 def draw(folder: Path, found: Sequence[Fit]) -> list[Path]:
     """Draw `drive<n>.svg` of each motor: measured, modelled, and the residual with its band."""
-    from gateway.reports.figures import (
-        BLUE,
-        GREEN,
-        GREY,
-        ORANGE,
-        Panel,
-        legend,
-        panels,
-        save,
-        styled,
-    )
+    from gateway.reports import figures
 
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    with styled():
+    rows = [
+        figures.Panel(2.2, "temperature / degC", True),
+        figures.Panel(1.4, "measured - model / K", False),
+    ]
+    with figures.styled():
         for fit in found:
-            figure, (above, below) = panels(
-                [Panel(2.2, "temperature / degC", True), Panel(1.4, "measured - model / K", False)]
-            )
-            for p, color in enumerate((BLUE, ORANGE, GREEN)):
+            figure, (above, below) = figures.panels(rows)
+            for p, color in enumerate((figures.BLUE, figures.ORANGE, figures.GREEN)):
                 if not np.isfinite(fit.error_k[p]):
                     continue
                 above.plot(fit.t_s, fit.measured_c[:, p], color=color, lw=1.0, label=POINTS[p])
@@ -147,8 +137,8 @@ def draw(folder: Path, found: Sequence[Fit]) -> list[Path]:
                 below.plot(fit.t_s, left, color=color, lw=0.8)
                 for sign in (-2.0, 2.0):
                     below.axhline(sign * fit.sigma_k[p], color=color, lw=0.6, ls=":")
-            above.plot([], [], color=GREY, ls="--", label="model")
-            legend(above)
+            above.plot([], [], color=figures.GREY, ls="--", label="model")
+            figures.legend(above)
             paths.append(folder / f"drive{fit.node}.svg")
-            save(figure, paths[-1])
+            figures.save(figure, paths[-1])
     return paths

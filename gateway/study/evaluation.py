@@ -8,27 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import reduce
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array, Ints
 from dbc.codec import Codec
 from dbc.frame import Frame
 from dbc.frames import block_of
 from dbc.spec import VALID
 from gateway.core.codes import INVALID, Flag, Health
-from gateway.reports.scoring import (
-    Score,
-    everyone,
-    quantile,
-    score_flag,
-    truth_of,
-)
+from gateway.reports.scoring import Score, Truth, everyone, quantile, score_flag, truth_of
 from gateway.reports.truth import Row
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEVELS: Final = 201
 """Values of `LossProbability` on the wire: 0 to 100 % in steps of 0.5 %."""
@@ -61,27 +54,14 @@ class Measured(NamedTuple):
 
     flags: score of the drives' flags; common: of `CommonMode`, against losses of all drives
     together. levels (2, LEVELS): number of judged estimates by truth (0 healthy, 1 lost) and
-    probability; silent (2,): of those without a probability. square_nm2, loads: sum of squared
-    load errors, and their number.
+    probability. square_nm2, loads: sum of squared load errors, and their number.
     """
 
     flags: Score
     common: Score
     levels: Ints
-    silent: Ints
     square_nm2: float
     loads: int
-
-    def plus(self, other: Measured) -> Measured:
-        """Pool both."""
-        return Measured(
-            self.flags.plus(other.flags),
-            self.common.plus(other.common),
-            self.levels + other.levels,
-            self.silent + other.silent,
-            self.square_nm2 + other.square_nm2,
-            self.loads + other.loads,
-        )
 
     @property
     def load_rmse_nm(self) -> float:
@@ -90,13 +70,10 @@ class Measured(NamedTuple):
 
 
 def pooled(runs: Iterable[Measured]) -> Measured:
-    """Pool all runs."""
-    total = Measured(
-        Score(), Score(), np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64), 0.0, 0
-    )
-    for run in runs:
-        total = total.plus(run)
-    return total
+    """Pool all runs, one or more."""
+    flags, common, levels, square_nm2, loads = zip(*runs, strict=True)
+    scores = reduce(Score.plus, flags), reduce(Score.plus, common)
+    return Measured(*scores, sum(levels), sum(square_nm2), sum(loads))
 
 
 def listen(frames: Iterable[Frame], codec: Codec, nodes: Sequence[int]) -> GatewayOutput:
@@ -139,31 +116,36 @@ def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) ->
     """Judge one run against the truth's rows."""
     truths = [truth_of(rows, node) for node in nodes]
     flags, common = Score(), Score()
-    levels, silent = np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64)
-    square, loads = 0.0, 0
+    levels, square, loads = np.zeros((2, LEVELS), np.int64), 0.0, 0
     for k, (node, truth) in enumerate(zip(nodes, truths, strict=True)):
         flags = flags.plus(score_flag(truth, output.t_s, output.flags[:, k]))
         estimates = output.estimates[k]
         counted = truth.counted(estimates.t_s)
         lost = truth.lost[truth.at(estimates.t_s)]
         for true in (0, 1):
-            judged = estimates.probability[counted & (lost == bool(true))]
-            known = judged[np.isfinite(judged)]
+            known = estimates.probability[counted & (lost == bool(true))]
+            known = known[np.isfinite(known)]
             raw = np.clip(np.rint(known * (LEVELS - 1)), 0, LEVELS - 1).astype(np.int64)
             levels[true] += np.bincount(raw, minlength=LEVELS)
-            silent[true] += len(judged) - len(known)
-        true_nm = np.array([row.load_nm for row in rows if row.drive == node])
-        # Load errors count in shallow losses too: only edges and the start are left out.
-        settled = truth._replace(depth=np.ones_like(truth.depth))
-        counted = settled.counted(estimates.t_s)
-        error = (estimates.load_nm - true_nm[np.maximum(truth.at(estimates.t_s), 0)])[counted]
+        error = load_error(rows, node, truth, estimates.t_s, estimates.load_nm)
         error = error[np.isfinite(error)]
         square += float(error @ error)
         loads += len(error)
     if len(nodes) > 1:
         common = score_flag(everyone(truths), output.t_s, output.common)
     flags = flags._replace(train_s=flags.train_s / len(nodes))
-    return Measured(flags, common, levels, silent, square, loads)
+    return Measured(flags, common, levels, square, loads)
+
+
+def load_error(rows: Sequence[Row], node: int, truth: Truth, t_s: Array, load_nm: Array) -> Array:
+    """(M,) error of a drive's estimated loads, Nm; NaN where the load is unknown or does not count.
+
+    It counts in shallow losses, too: only edges and the start are left out.
+    """
+    true_nm = np.array([row.load_nm for row in rows if row.drive == node])
+    settled = truth._replace(depth=np.ones_like(truth.depth))
+    error = load_nm - true_nm[np.maximum(truth.at(t_s), 0)]
+    return np.where(settled.counted(t_s), error, np.nan)
 
 
 class Curve(NamedTuple):
@@ -253,38 +235,19 @@ COLUMNS: Final = (
 
 
 def row(line: Line) -> tuple[str | int | float, ...]:
-    """Numbers of one line; NaN where a number is not defined (F1 without a loss)."""
+    """Numbers of one line; NaN or infinite where it is not defined (F1 without a loss)."""
     total = line.total
     flags, common = total.flags, total.common
-    lossy = flags.losses > 0
-    return (
-        line.family,
-        line.detector,
-        len(line.runs),
-        flags.f1 if lossy else math.nan,
-        *line.spread(),
-        flags.uncut_f1 if lossy else math.nan,
-        flags.precision if lossy else math.nan,
-        flags.recall if lossy else math.nan,
-        flags.alarms_per_hour,
-        flags.losses,
-        flags.missed,
-        _finite(flags.median_delay_ms),
-        _finite(quantile(flags.delays_ms, 0.9)),
-        _finite(quantile(flags.abrupt_ms, 0.5)),
-        100.0 * flags.good_share,
-        100.0 * flags.unknown_share,
-        100.0 * flags.false_share,
-        100.0 * flags.dangerous_share if lossy else math.nan,
-        total.load_rmse_nm,
-        100.0 * total.load_rmse_nm / line.rated_nm,
-        roc(total.levels).area,
-        reliability(total.levels).error,
-        common.f1 if line.common else math.nan,
-        _finite(common.median_delay_ms) if line.common else math.nan,
-        common.alarms_per_hour,
+    of_losses = flags.f1, flags.uncut_f1, flags.precision, flags.recall, flags.dangerous_share
+    f1, uncut_f1, precision, recall, dangerous_share = (
+        value if flags.losses else math.nan for value in of_losses
     )
-
-
-def _finite(value: float) -> float:
-    return value if math.isfinite(value) else math.nan
+    return (
+        line.family, line.detector, len(line.runs), f1, *line.spread(), uncut_f1, precision, recall,
+        flags.alarms_per_hour, flags.losses, flags.missed, flags.median_delay_ms,
+        quantile(flags.delays_ms, 0.9), quantile(flags.abrupt_ms, 0.5), 100.0 * flags.good_share,
+        100.0 * flags.unknown_share, 100.0 * flags.false_share, 100.0 * dangerous_share,
+        total.load_rmse_nm, 100.0 * total.load_rmse_nm / line.rated_nm, roc(total.levels).area,
+        reliability(total.levels).error, common.f1 if line.common else math.nan,
+        common.median_delay_ms if line.common else math.nan, common.alarms_per_hour,
+    )  # fmt: skip

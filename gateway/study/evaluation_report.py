@@ -61,7 +61,7 @@ def write(folder: Path, title: str, lines: Sequence[Line]) -> list[Path]:
     write_text(text, f"# {title}\n\n{table(lines)}\n\n{LEGEND}\n")
     written = [text]
     for name, rows in (
-        ("evaluation.csv", _numbers(lines)),
+        ("evaluation.csv", [COLUMNS, *([_text(x) for x in row(line)] for line in lines)]),
         ("runs.csv", _runs(lines)),
         ("roc.csv", _curves(lines)),
         ("reliability.csv", _bins(lines)),
@@ -71,12 +71,6 @@ def write(folder: Path, title: str, lines: Sequence[Line]) -> list[Path]:
     for name, draw, what in (("roc", _draw_roc, "ROC"), ("reliability", _draw_bins, "Calibration")):
         written += _picture(folder / name, lines, draw, f"{what}: {title}")
     return written
-
-
-def _numbers(lines: Sequence[Line]) -> Iterable[Sequence[object]]:
-    yield COLUMNS
-    for line in lines:
-        yield [_text(value) for value in row(line)]
 
 
 def _text(value: str | float) -> str:

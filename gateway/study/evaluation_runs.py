@@ -19,6 +19,7 @@ from dbc.frame import Frame
 from dbc.frames import Block, block_of
 from estimators.detect import DETECTORS, WITH_MEMORY
 from gateway.core.gateway import Gateway
+from gateway.io.workers import mapped
 from gateway.settings.config import Config, ConfigError, load
 from gateway.settings.motors import Motor
 from gateway.settings.sections import Drive
@@ -191,8 +192,6 @@ def evaluate(
     for family in plan.families:
         if not WORLDS[plan.world].families[family].varied:
             fitted(plan, plan.detectors[0], _drawn(plan, family, plan.seeds[0]))
-    from gateway.io.workers import mapped
-
     runs = list(product(plan.families, plan.seeds))
     found: dict[str, list[tuple[Measured, ...]]] = {family: [] for family in plan.families}
     began = time.monotonic()

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Ints
 from dbc.frame import MS, SECOND, Nanos
 from estimators.tolerance import STORED
 from gateway.core.codes import Flag
@@ -64,13 +64,13 @@ class Evidence:
         self._longest[minute] = max(self._longest.get(minute, 0), lasted)
 
     @property
-    def longest_ms(self) -> NDArray[np.int64]:
+    def longest_ms(self) -> Ints:
         """(M,) longest evidence of any drive in each whole minute, in the order of time, ms."""
         minutes = range(self._before // MINUTE_NS)
         return np.array([-(-self._longest.get(k, 0) // MS) for k in minutes], dtype=np.int64)
 
 
-def largest(longest_ms: NDArray[np.int64]) -> list[int]:
+def largest(longest_ms: Ints) -> list[int]:
     """The times of the worst minutes, descending, as `fault_free` keeps them."""
     times: list[int] = np.sort(longest_ms)[::-1][:STORED].tolist()
     return times

@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.codec import Codec
 from dbc.frames import Block
 from gateway.study.scenarios_random import PerUnit, between, sign
@@ -30,7 +31,7 @@ from sim.profile import Profile
 from sim.scenario import Scenario, parse
 from sim.simulation import GRID, Simulation, start_angles
 
-Array = NDArray[np.float64]
+Phasors = NDArray[np.complex128]
 TICKS_PER_S: Final = 100
 STREAM: Final = 31
 RAMP_S: Final = (0.001, 0.008)
@@ -94,9 +95,7 @@ KINDS: Final = {
     "two": Kind("one of two, no command", 2, 1, commands=False),
     "two_commands": Kind("one of two", 2, 1, commands=True),
     "twelve": Kind("four of twelve, no command", 12, 4, commands=False),
-    "rough": Kind(
-        "one of three, rough", 3, 1, commands=True, onset_s=(2.5, 3.2), rough=True
-    ),
+    "rough": Kind("one of three, rough", 3, 1, commands=True, onset_s=(2.5, 3.2), rough=True),
     "rough_mute": Kind(
         "one of three, rough, no command", 3, 1, commands=False, onset_s=(2.5, 3.2), rough=True
     ),
@@ -105,7 +104,7 @@ KINDS: Final = {
     "healthy_mute": Kind(
         "nothing lost, load steps, no command", 3, 0, commands=False, healthy=True
     ),
-}  # fmt: skip
+}
 
 
 def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
@@ -117,21 +116,18 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     at = between(rng, kind.onset_s)
     drives = kind.drives
     who = range(drives) if kind.lost is None else rng.choice(drives, kind.lost, replace=False)
-    length, depth = between(rng, LENGTH_S), between(rng, DEPTH)
+    length, depth, all_lose = between(rng, LENGTH_S), between(rng, DEPTH), kind.lost is None
     events: list[dict[str, Any]] = [
         {
-            "at_s": round(at + (0.0 if kind.lost is None else between(rng, (0.0, 0.03))), 4),
-            "for_s": length if kind.lost is None else between(rng, LENGTH_S),
-            "drive": int(d) + 1,
-            "kind": "adhesion_loss",
-            "depth": depth if kind.lost is None else between(rng, DEPTH),
-            "ramp_s": between(rng, RAMP_S),
+            "at_s": round(at + (0.0 if all_lose else between(rng, (0.0, 0.03))), 4),
+            "for_s": length if all_lose else between(rng, LENGTH_S),
+            "drive": int(d) + 1, "kind": "adhesion_loss",
+            "depth": depth if all_lose else between(rng, DEPTH), "ramp_s": between(rng, RAMP_S),
         }
         for d in who
-    ]
-    ends = [e["at_s"] + e["for_s"] for e in events]
+    ]  # fmt: skip
+    end = max((e["at_s"] + e["for_s"] for e in events), default=6.0) + TAIL_S
     # The train's demand: it stays, changes slowly, or (healthy) steps now and then.
-    end = max(ends, default=6.0) + TAIL_S
     profile = [[0.0, unit.nm(load)]]
     if kind.healthy:
         while profile[-1][0] < end - 1.0:
@@ -141,20 +137,15 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
             profile += [[round(begin, 4), profile[-1][1]], [round(begin + step, 4), level]]
     elif rng.random() < 0.5:
         profile.append([round(end, 4), round(profile[0][1] * between(rng, (0.7, 1.3)), 4)])
-    noise = 1e-2 if kind.rough else 2e-4
     table: dict[str, Any] = {
-        "title": f"held, {name} {seed}",
-        "seed": seed,
-        "drives": drives,
-        "duration_s": round(end, 4),
-        "motor": {"name": motor},
-        "motion": {"speed": speed},
+        "title": f"held, {name} {seed}", "seed": seed, "drives": drives,
+        "duration_s": round(end, 4), "motor": {"name": motor}, "motion": {"speed": speed},
         "load": {"kind": "preset", "profile": profile, "transition": "linear"}
         if len(profile) > 1
         else {"kind": "preset", "torque_nm": profile[0][1]},
-        "sensors": {"current_noise_var": unit.noise(noise)},
+        "sensors": {"current_noise_var": unit.noise(1e-2 if kind.rough else 2e-4)},
         "event": events,
-    }
+    }  # fmt: skip
     if kind.rough:
         table["load"]["share_within"] = 0.1
         table["mismatch"] = {"R_s_within": 0.2, "L_s_within": 0.05, "psi_pm_within": 0.03}
@@ -167,12 +158,17 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
 
 def waveforms(scenario: Scenario) -> Array:
     """Rows (n, N, 10) of a whole run, columns `sim.physics.plant.OUT`."""
-    motor = scenario.motor.machine
-    variety = Variety(scenario, motor)
-    t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
-    w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
-    load = demand[:, None] * variety.share(0.0) * Schedule(scenario, motor).carry(t_s, demand)
+    variety, (w_ref, _, demand), carried = courses(scenario, periods(scenario) + 1)
+    load = demand[:, None] * variety.share(0.0) * carried
     return electrical(scenario, variety, w_ref[:, None] / variety.p.wheel, load, load, demand)
+
+
+def courses(scenario: Scenario, n: int) -> tuple[Variety, tuple[Array, Array, Array], Array]:
+    """Drives of a run, `Profile.at` and (n, N) share that the rail carries at n instants."""
+    motor = scenario.motor.machine
+    t_s: Array = DT * np.arange(n, dtype=np.float64)
+    profile = Profile(scenario, motor.pole_pairs).at(t_s)
+    return Variety(scenario, motor), profile, Schedule(scenario, motor).carry(t_s, profile[2])
 
 
 def electrical(
@@ -187,13 +183,10 @@ def electrical(
     out = np.empty((len(turned), scenario.drives, OUT))
     for d, theta_0 in enumerate(start_angles(scenario).tolist()):
         theta = theta_0 + motor.pole_pairs * np.concatenate([[0.0], turned[:, d]])
-        along = np.exp(1j * theta)
         i_q = torque[:, d] / (motor.k_p * motor.pole_pairs * p.psi_pm[d])
-        current = 1j * i_q * along
-        flux = p.L_s[d] * current + p.psi_pm[d] * along
-        voltage = p.R_s[d] * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / DT
+        current, voltage = phasors(p[d], theta, i_q, DT)
         row = out[:, d]
-        row[:, columns.I_ALPHA], row[:, columns.I_BETA] = current[1:].real, current[1:].imag
+        row[:, columns.I_ALPHA], row[:, columns.I_BETA] = current.real, current.imag
         row[:, columns.U_ALPHA], row[:, columns.U_BETA] = voltage.real, voltage.imag
         row[:, columns.U_DC] = motor.U_dc
         row[:, columns.TORQUE], row[:, columns.LOAD] = torque[1:, d], load[1:, d]
@@ -201,6 +194,18 @@ def electrical(
         row[:, columns.ANGLE] = theta[1:] % (2.0 * np.pi)
         row[:, columns.COMMAND] = demand[1:]
     return out
+
+
+def phasors(motor: Any, theta: Array, i_q: Array, period_s: float) -> tuple[Phasors, Phasors]:
+    """Current, A, at the end of each period and mean voltage, V, over it, stationary frame.
+
+    theta electrical rad, i_q A, (n + 1,): at the ends of the periods, and at the start.
+    """
+    along = np.exp(1j * theta)
+    current = 1j * i_q * along
+    flux = motor.L_s * current + motor.psi_pm * along
+    voltage = motor.R_s * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / period_s
+    return current[1:], voltage
 
 
 def without_status(block: Block) -> Block:

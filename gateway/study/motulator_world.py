@@ -19,19 +19,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.codec import Codec
 from gateway.io.extras import need
 from gateway.settings.config import ConfigError
-from gateway.study.held_world import OtherMachine, periods
-from sim.drive_spread import Variety
-from sim.faults import Schedule
+from gateway.study.held_world import OtherMachine, courses, periods
 from sim.physics import plant as columns
 from sim.physics.plant import DT, MOTORS, OUT, Motor
-from sim.profile import Profile
 from sim.scenario import Scenario
 from sim.simulation import start_angles
 
-Array = NDArray[np.float64]
 OVERLOAD: Final = 1.5
 """Largest torque and current, over the rated ones, as in our simulator."""
 SPEED_BANDWIDTH: Final = 60.0
@@ -146,12 +143,10 @@ def waveforms(scenario: Scenario) -> Array:
     if scenario.load.kind != "preset" or scenario.load.curve or other:
         raise ConfigError(scenario.title, ["only preset loads, without curve or open phase"])
     motor = MOTORS[scenario.motor.name]
-    variety = Variety(scenario, motor)
-    t_s: Array = DT * np.arange(periods(scenario), dtype=np.float64)
-    w_ref, w_acc, demand = Profile(scenario, motor.pole_pairs).at(t_s)
-    load = demand[:, None] * variety.share(0.0) * Schedule(scenario, motor).carry(t_s, demand)
+    variety, (w_ref, w_acc, demand), carried = courses(scenario, periods(scenario))
+    load = demand[:, None] * variety.share(0.0) * carried
     rolling = scenario.motion.start == "rolling"
-    out = np.empty((len(t_s), scenario.drives, OUT))
+    out = np.empty((*load.shape, OUT))
     out[:, :, columns.COMMAND] = (demand + motor.J * w_acc)[:, None]
     for d, theta in enumerate(start_angles(scenario).tolist()):
         wanted = w_ref / variety.p.wheel[d]

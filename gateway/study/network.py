@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from estimators.detect.paper import Array
+from dbc.arrays import Array
 
 Graph = tuple[tuple[int, ...], ...]
 """Neighbours of each node, in ascending order."""

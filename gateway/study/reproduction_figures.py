@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.detect import GLOBAL_ESTIMATES
 from gateway.io.whole_file import whole
 from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE, Span
@@ -17,7 +17,6 @@ from gateway.study.reproduction import METHODS, differences
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 RED: Final = "#C00000"
 TITLES: Final = {
     "paper_vb": "variational Bayes",

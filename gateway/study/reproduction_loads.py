@@ -10,13 +10,11 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators import filters
 from estimators.models import pmsm
 from gateway.settings.sections import Estimator
-
-Array = NDArray[np.float64]
 
 
 class Filter(NamedTuple):

@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Ints
 from gateway.io.whole_file import write_csv
 from gateway.study import reproduction as table_1
 from gateway.study.reproduction import METHODS, STATISTICS, Table
 from gateway.study.reproduction_loads import rmse
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 INSTANT_NS: Final = 1_125_000
 """Nine periods of 125 us: every phase of frames of eight and of sixteen is met equally often."""
 SETTLED: Final = 10
@@ -56,7 +54,7 @@ class Course(NamedTuple):
 
     way: str
     belief: str
-    t_ns: Times
+    t_ns: Ints
     load: Array
 
 
@@ -99,7 +97,7 @@ class Comparison(NamedTuple):
         return next(s for s in self.seen if (s.way, s.belief) == (way, belief))
 
 
-def at(path: Course, instants: Times) -> Array:
+def at(path: Course, instants: Ints) -> Array:
     """Loads (K, N): the last estimate at or before each instant; NaN before the first one."""
     k = np.searchsorted(path.t_ns, instants, side="right") - 1
     return np.where(k[:, None] >= 0, path.load[np.maximum(k, 0)], np.nan)
@@ -128,7 +126,9 @@ def compare(paths: Sequence[Course], truth: Course) -> Comparison:
         for belief in dict.fromkeys(p.belief for p in paths)
         if way.name.endswith("bus")
     ]
-    starts = {(p.way, p.belief): _known_from(p) for p in paths}
+    starts = {
+        (p.way, p.belief): int(p.t_ns[np.argmax(np.isfinite(p.load).all(axis=1))]) for p in paths
+    }
     first = int(instants[np.argmax(known)])
     return Comparison(first, int(np.count_nonzero(known)), seen, delays, starts)
 
@@ -148,11 +148,6 @@ def _delay(bus: Course, without: Course) -> Delay:
             age = float(np.mean(t_ns - without.t_ns[k]))
             best = best._replace(age_ns=age, rest_nm=rest)
     return best
-
-
-def _known_from(path: Course) -> int:
-    known = np.isfinite(path.load).all(axis=1)
-    return int(path.t_ns[np.argmax(known)])
 
 
 def write_paths(path: Path, comparison: Comparison) -> None:

@@ -8,9 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dbc.arrays import Array
 from gateway.reports import page
 from gateway.study import reproduction_variants as variants
 from gateway.study.reproduction import STATISTICS, Cell, agreement
@@ -43,11 +41,11 @@ class Outcome(NamedTuple):
     seed: int
     duration_s: float
     cells: list[Cell]
-    rmse: NDArray[np.float64]
+    rmse: Array
     comparison: Comparison
     zero_locked: tuple[bool, ...]
     starts: list[StandingStart]
-    strengths: list[tuple[float, NDArray[np.float64]]]
+    strengths: list[tuple[float, Array]]
     variants: list[variants.Variant]
     networks: list[variants.NetworkRow]
 
@@ -83,7 +81,7 @@ def _head(outcome: Outcome) -> list[str]:
         "Three drives, 20000 samples of 125 us, simulated by this project's plant, filtered by its "
         "EKF, judged by its form of the paper's four methods. Drive 1 (PMSM1) loses its load in "
         "samples 500-1500 and 10000-12000 and a part of it in 17000-18000.",
-        f"Of Table 1, {agreement(outcome.cells).text()}; percent of the printed value, "
+        f"Of Table 1, {agreement(outcome.cells)}; percent of the printed value, "
         "the larger counts. Load error (root mean square) of drives 1 to 3: "
         + ", ".join(number(v) for v in outcome.rmse.tolist())
         + " Nm with the paper's Q.",

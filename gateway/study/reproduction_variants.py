@@ -11,11 +11,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from dbc.arrays import Array
 from estimators.detect import paper, paper_vb
 from gateway.study import distributed
 from gateway.study.distributed import Exchange
 from gateway.study.network import Graph, ring, tree
-from gateway.study.reproduction import STATISTICS, Array, statistics
+from gateway.study.reproduction import STATISTICS, statistics
 from gateway.study.reproduction_text import grid, number
 
 BOUND_TOLERANCE: Final = 1e-6

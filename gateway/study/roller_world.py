@@ -18,20 +18,25 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from dbc.codec import Codec
-from gateway.study.held_world import LENGTH_S, TAIL_S, OtherMachine, Played, electrical, periods
+from gateway.study.held_world import (
+    LENGTH_S,
+    TAIL_S,
+    OtherMachine,
+    Played,
+    courses,
+    electrical,
+    periods,
+)
 from gateway.study.scenarios_random import PerUnit, between, sign
 from gateway.study.varied_trains import variation
 from sim.drive_spread import Variety
-from sim.faults import Schedule
 from sim.physics.adhesion import Rail
 from sim.physics.plant import CREEP_LIMIT, DT
-from sim.profile import Profile
 from sim.scenario import Scenario, parse
 
-Array = NDArray[np.float64]
 STREAM: Final = 37
 SHAPE: Final = 1.4
 """C: far beyond the peak the contact carries sin(C pi / 2) = 0.81 of the peak force."""
@@ -152,23 +157,19 @@ class Waveforms(NamedTuple):
     """
 
     rows: Array
-    slides: NDArray[np.bool_]
+    slides: Flags
     given: Array
 
 
 def waveforms(name: str, scenario: Scenario) -> Waveforms:
     """Simulate the machines of a run in steps of `DT`."""
-    motor = scenario.motor.machine
-    variety = Variety(scenario, motor)
-    t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
-    w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
-    carried = Schedule(scenario, motor).carry(t_s, demand)
+    variety, (w_ref, _, demand), carried = courses(scenario, periods(scenario) + 1)
     # Load that a loss leaves at the peak of the creep curve; infinite without a loss.
     left = np.where(carried < 1.0, carried * np.abs(demand)[:, None], np.inf)
     rig = Rig(scenario, variety, LIMITERS[KINDS[name].limiter])
-    speed, torque, load, given = np.empty((4, len(t_s), scenario.drives))
-    slides = np.empty((len(t_s), scenario.drives), np.bool_)
-    for k in range(len(t_s)):
+    speed, torque, load, given = np.empty((4, len(demand), scenario.drives))
+    slides = np.empty((len(demand), scenario.drives), np.bool_)
+    for k in range(len(demand)):
         rig.advance(w_ref[k], demand[k], left[k])
         speed[k], torque[k], load[k], slides[k] = rig.w, rig.torque, rig.load, rig.slides
         given[k] = rig.limit

@@ -10,17 +10,18 @@ May know: scenarios. May not know: any detector.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from gateway.study.scenarios_groups import (
     MISMATCHES,
+    OPEN_AT_S,
     SLIP_LENGTH_S,
     Mismatch,
     braked,
     slipping,
-    tables,
 )
 from gateway.study.scenarios_random import (
     DEPTH,
@@ -93,27 +94,20 @@ def draw(family: str, seed: int, motor: str = "bench") -> Scenario:
 
 def _loss(rng: Rng, drive: int, at_s: float, length: tuple[float, float] = LENGTH_S) -> Table:
     return {
-        "at_s": round(at_s, 4),
-        "for_s": between(rng, length),
-        "drive": drive,
-        "kind": "adhesion_loss",
-        "depth": between(rng, DEPTH),
+        "at_s": round(at_s, 4), "for_s": between(rng, length), "drive": drive,
+        "kind": "adhesion_loss", "depth": between(rng, DEPTH),
         "ramp_s": between(rng, (0.0, RAMP_S)),
-    }
+    }  # fmt: skip
 
 
 def _run(what: str, seed: int, unit: PerUnit, table: Table) -> Scenario:
     """A scenario with the settings that all families share; ends `TAIL_S` after its last loss."""
     ends = [e["at_s"] + e["for_s"] for e in table.get("event", ()) if "for_s" in e]
     whole: Table = {
-        "title": f"{what} {seed}",
-        "seed": seed,
-        "drives": 3,
-        "duration_s": round(max(ends, default=0.0) + TAIL_S, 4),
-        "motor": {"name": unit.name},
-        "sensors": {"current_noise_var": unit.noise(QUIET_VAR)},
-        **table,
-    }
+        "title": f"{what} {seed}", "seed": seed, "drives": 3,
+        "duration_s": round(max(ends, default=0.0) + TAIL_S, 4), "motor": {"name": unit.name},
+        "sensors": {"current_noise_var": unit.noise(QUIET_VAR)}, **table,
+    }  # fmt: skip
     if whole["drives"] > BUS_DRIVES:
         whole["bus"] = {"bitrate": 0}
     return parse(whole, whole["title"])
@@ -127,31 +121,26 @@ def _steady(rng: Rng, unit: PerUnit) -> Table:
 
 
 def _single(seed: int, _rng: Rng, unit: PerUnit) -> Scenario:
-    return random_scenario(seed, motor=unit.name)
+    return random_scenario(seed, unit.name)
 
 
-def _several(rng: Rng, among: int, count: int, onset: tuple[float, float]) -> list[Table]:
+def _several(rng: Rng, unit: PerUnit, among: int, count: int) -> Table:
     """`count` of `among` drives lose adhesion within 50 ms, each with its own depth and length."""
-    at = between(rng, onset)
+    at = between(rng, ONSET_S)
     who = sorted(rng.choice(among, size=count, replace=False).tolist())
-    return [_loss(rng, int(d) + 1, at + between(rng, (0.0, 0.05))) for d in who]
+    events = [_loss(rng, int(d) + 1, at + between(rng, (0.0, 0.05))) for d in who]
+    return {"drives": among, "event": events, **_steady(rng, unit)}
 
 
 def _majority(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
     drives = int(rng.integers(3, 7))
     count = int(rng.integers(drives // 2 + 1, drives))
-    events = _several(rng, drives, count, ONSET_S)
-    return _run("majority", seed, unit, {"drives": drives, "event": events, **_steady(rng, unit)})
+    return _run("majority", seed, unit, _several(rng, unit, drives, count))
 
 
-def _number(drives: int) -> Callable[[int, Rng, PerUnit], Scenario]:
-    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-        count = int(rng.integers(1, max(drives // 2, 1) + 1))
-        events = _several(rng, drives, count, ONSET_S)
-        table = {"drives": drives, "event": events, **_steady(rng, unit)}
-        return _run(f"{drives} drives", seed, unit, table)
-
-    return make
+def _number(drives: int, seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    count = int(rng.integers(1, max(drives // 2, 1) + 1))
+    return _run(f"{drives} drives", seed, unit, _several(rng, unit, drives, count))
 
 
 def _tenable(unit: PerUnit, bench_nm: float) -> float:
@@ -300,51 +289,36 @@ def _healthy_hard(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
         level = unit.nm(between(rng, (-8.0, 8.0) if on_rail else (-25.0, 25.0)))
         loads += [[round(began + 0.4, 4), loads[-1][1]], [round(began + 0.4 + step, 4), level]]
     curves = [
-        {
-            "drive": int(rng.integers(1, 4)),
-            "at_s": between(rng, (0.0, HARD_S)),
-            "for_s": between(rng, (1.0, 5.0)),
-            "amount": between(rng, (-0.08, 0.08)),
-        }
+        {"drive": int(rng.integers(1, 4)), "at_s": between(rng, (0.0, HARD_S)),
+         "for_s": between(rng, (1.0, 5.0)), "amount": between(rng, (-0.08, 0.08))}
         for _ in range(8)
-    ]
+    ]  # fmt: skip
     table = {
         "duration_s": HARD_S,
-        "motion": {
-            "start": "standstill" if standing else "rolling",
-            "profile": profile,
-            "effort_nm": unit.nm(HARD_NM),
-        },
-        "load": {
-            "kind": "rail" if on_rail else "preset",
-            "profile": loads,
-            "curve": curves,
-            "share_within": 0.03,
-            "wheel_within": 0.01,
-        },
-    }
+        "motion": {"start": "standstill" if standing else "rolling", "profile": profile,
+                   "effort_nm": unit.nm(HARD_NM)},
+        "load": {"kind": "rail" if on_rail else "preset", "profile": loads, "curve": curves,
+                 "share_within": 0.03, "wheel_within": 0.01},
+    }  # fmt: skip
     return _run("healthy, hard", seed, unit, table)
 
 
-def _mismatched(off: Mismatch) -> Callable[[int, Rng, PerUnit], Scenario]:
-    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-        table = _steady(rng, unit)
-        loss = _loss(rng, int(rng.integers(2, 4)), between(rng, ROUGH_ONSET_S))
-        motor, sensors, events = tables(off, unit.amps(1.0))
-        table["event"] = [*events, loss if off.phase_open or rng.random() < 0.5 else loss | ON_IT]
-        table["mismatch"] = motor
-        table["sensors"] = {"current_noise_var": unit.noise(QUIET_VAR)} | sensors
-        return _run(off.title, seed, unit, table)
+def _mismatched(off: Mismatch, seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    table = _steady(rng, unit)
+    loss = _loss(rng, int(rng.integers(2, 4)), between(rng, ROUGH_ONSET_S))
+    opened = [{"at_s": OPEN_AT_S, "drive": 1, "kind": "phase_open"}] if off.phase_open else []
+    table["event"] = [*opened, loss if off.phase_open or rng.random() < 0.5 else loss | ON_IT]
+    table["mismatch"] = {off.motor: [off.factor, 1.0, 1.0]} if off.motor else {}
+    table["sensors"] = {
+        "current_noise_var": unit.noise(QUIET_VAR), "current_gain_within": off.gain,
+        "current_offset_within_a": off.offset_a * unit.amps(1.0),
+    }  # fmt: skip
+    return _run(off.title, seed, unit, table)
 
-    return make
 
-
-def _slipping(limiter: str) -> Callable[[int, Rng, PerUnit], Scenario]:
-    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-        loss = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S), SLIP_LENGTH_S)
-        return _run(f"{limiter} slip limiter", seed, unit, slipping(rng, unit, limiter, loss))
-
-    return make
+def _slipping(limiter: str, seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    loss = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S), SLIP_LENGTH_S)
+    return _run(f"{limiter} slip limiter", seed, unit, slipping(rng, unit, limiter, loss))
 
 
 def _braked(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
@@ -354,10 +328,10 @@ def _braked(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
 FAMILIES: Final[dict[str, Family]] = {
     "single": Family("one drive of three loses adhesion", _single),
     "majority": Family("more than half of 3 to 6 drives lose adhesion", _majority),
-    "n1": Family("a single drive", _number(1)),
-    "n2": Family("one of two drives", _number(2)),
-    "n12": Family("1 to 6 of 12 drives", _number(12)),
-    "n16": Family("1 to 8 of 16 drives", _number(16)),
+    "n1": Family("a single drive", partial(_number, 1)),
+    "n2": Family("one of two drives", partial(_number, 2)),
+    "n12": Family("1 to 6 of 12 drives", partial(_number, 12)),
+    "n16": Family("1 to 8 of 16 drives", partial(_number, 16)),
     "braking": Family("braking from high speed, both directions", _braking),
     "gradual": Family("losses that grow over 0.1 to 1 s", _gradual),
     "crawl": Family("standstill, crawl and stop, half of them healthy", _crawl),
@@ -371,10 +345,16 @@ FAMILIES: Final[dict[str, Family]] = {
 }
 """Families by name. A family's place is part of its random stream, so add new ones at the end."""
 GROUPS: Final[dict[str, dict[str, Family]]] = {
-    "mismatch": {name: Family(off.title, _mismatched(off)) for name, off in MISMATCHES.items()},
+    "mismatch": {
+        name: Family(off.title, partial(_mismatched, off)) for name, off in MISMATCHES.items()
+    },
     "slide": {
-        "slide_no_limiter": Family("one wheel runs away, no slip limiter", _slipping("none")),
-        "slide_slow_limiter": Family("one wheel slips, slow slip limiter", _slipping("slow")),
+        "slide_no_limiter": Family(
+            "one wheel runs away, no slip limiter", partial(_slipping, "none")
+        ),
+        "slide_slow_limiter": Family(
+            "one wheel slips, slow slip limiter", partial(_slipping, "slow")
+        ),
         "slide_braked": Family("friction brakes lock one wheel, motors coast", _braked),
     },
 }

@@ -72,12 +72,10 @@ def braked(rng: Rng, unit: PerUnit) -> Table:
     brake = between(rng, BRAKE_NM)
     at, length = between(rng, (1.0, 2.0)), between(rng, (0.8, 1.5))
     poor = {
-        "at_s": round(at + 0.1, 4),
-        "for_s": round(length - 0.2, 4),
-        "kind": "rail",
+        "at_s": round(at + 0.1, 4), "for_s": round(length - 0.2, 4), "kind": "rail",
         "drive": int(rng.integers(1, 4)),
         "value": round(FRICTION_PER_NM * between(rng, RAIL_LEFT) * brake, 4),
-    }
+    }  # fmt: skip
     brakes = {"at_s": at, "for_s": length, "kind": "friction_brake", "ramp_s": 0.3}
     speed = _speed(rng, unit)
     return {
@@ -113,14 +111,3 @@ MISMATCHES: Final[dict[str, Mismatch]] = {
     "off_gain": Mismatch("current gains up to 5 % off", gain=GAIN),
     "off_phase_open": Mismatch("phase a of drive 1 open", phase_open=True),
 }
-
-
-def tables(off: Mismatch, amps: float) -> tuple[Table, Table, list[Table]]:
-    """Tables of a scenario: mismatch, more of sensors, more events; amps: rated current / 25 A."""
-    motor = {off.motor: [off.factor, 1.0, 1.0]} if off.motor else {}
-    sensors = {
-        "current_offset_within_a": off.offset_a * amps,
-        "current_gain_within": off.gain,
-    }
-    event = {"at_s": OPEN_AT_S, "drive": 1, "kind": "phase_open"}
-    return motor, sensors, [event] if off.phase_open else []

@@ -6,7 +6,7 @@ that was tuned on it. `gateway.study.scenarios_family` has the other kinds of ru
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -61,46 +61,29 @@ def sign(rng: np.random.Generator) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def random_scenario(
-    seed: int,
-    *,
-    healthy: bool = False,
-    motor: str = "bench",
-) -> Scenario:
-    """One run: rolling start with unknown angles, one loss on one drive (none if `healthy`).
+def random_scenario(seed: int, motor: str = "bench") -> Scenario:
+    """One run: rolling start with unknown angles, one loss on one drive.
 
     Uniform draws: speed 40-250 electrical rad/s and load 8-30 Nm, each of either sign; depth
     0.2-1, length 0.1-2 s, onset 0.8-1.6 s, linear edges of 0-20 ms, any of three drives, whose
     speed is controlled under a preset load. Runs end 0.8 s after the loss. Loads and noise are the
     bench motor's and scale with `motor`.
     """
-    unit = PerUnit(motor)
-    rng = np.random.default_rng([seed, STREAM])
-    speed = rng.uniform(*unit.speed) * rng.choice([-1.0, 1.0])
-    load = rng.uniform(*LOAD_NM) * rng.choice([-1.0, 1.0])
-    onset = round(float(rng.uniform(*ONSET_S)), 4)
-    length = round(float(rng.uniform(*LENGTH_S)), 4)
-    depth = round(float(rng.uniform(*DEPTH)), 4)
-    ramp = round(float(rng.uniform(0.0, RAMP_S)), 4)
-    drive = int(rng.integers(1, 4))
-    event: dict[str, Any] = {
-        "at_s": onset,
-        "for_s": length,
-        "drive": drive,
-        "kind": "adhesion_loss",
-        "depth": depth,
+    unit, rng = PerUnit(motor), np.random.default_rng([seed, STREAM])
+    speed = rng.uniform(*unit.speed) * sign(rng)
+    load = rng.uniform(*LOAD_NM) * sign(rng)
+    onset, length, depth = (between(rng, limits) for limits in (ONSET_S, LENGTH_S, DEPTH))
+    ramp, drive = between(rng, (0.0, RAMP_S)), int(rng.integers(1, 4))
+    event = {
+        "at_s": onset, "for_s": length, "drive": drive, "kind": "adhesion_loss", "depth": depth,
         "ramp_s": ramp,
-    }
+    }  # fmt: skip
     title = f"random {seed}: {speed:.0f} rad/s, {unit.nm(load):.1f} Nm"
     table = {
-        "title": title if healthy else f"{title}, {depth:.0%} of drive {drive} for {length:.2f} s",
-        "seed": seed,
-        "duration_s": round(onset + length + TAIL_S, 4),
-        "drives": 3,
-        "motor": {"name": motor},
-        "motion": {"speed": round(float(speed), 3)},
+        "title": f"{title}, {depth:.0%} of drive {drive} for {length:.2f} s",
+        "seed": seed, "duration_s": round(onset + length + TAIL_S, 4), "drives": 3,
+        "motor": {"name": motor}, "motion": {"speed": round(float(speed), 3)},
         "load": {"kind": "preset", "torque_nm": unit.nm(load)},
-        "sensors": {"current_noise_var": unit.noise(2e-4)},
-        "event": [] if healthy else [event],
-    }
+        "sensors": {"current_noise_var": unit.noise(2e-4)}, "event": [event],
+    }  # fmt: skip
     return parse(table, f"random {seed}")

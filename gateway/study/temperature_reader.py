@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
 from dbc.frames import Block, block_of
@@ -21,8 +21,6 @@ from gateway.core.gateway import Gateway
 from gateway.core.thermal import TemperatureMonitor
 from gateway.settings.calibration import POINTS
 from gateway.settings.config import Config
-
-Array = NDArray[np.float64]
 
 CYCLES: Final = 4096
 """Number of temperature cycles for which there is room."""
@@ -36,11 +34,11 @@ class Cycles(NamedTuple):
     means of a second, valid where `second_complete` (R,).
     """
 
-    second_complete: NDArray[np.bool_]
+    second_complete: Flags
     value_c: Array
     mean_c: Array
-    known: NDArray[np.bool_]
-    held_ns: NDArray[np.int64]
+    known: Flags
+    held_ns: Ints
     second: Array
 
 
@@ -95,7 +93,7 @@ class TemperatureReader(Gateway):
         self.run(block, np.array([block.size]), now)
         return []
 
-    def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
+    def run(self, block: Block, ends: Ints, now: Nanos) -> tuple[int, list[Block]]:
         """Run ticks as `Gateway.run` does; stop when the log is full."""
         period_ns = self.config.loop.period_ns
         block = block.part(0, int(ends[-1]))

@@ -17,12 +17,11 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from gateway.study.thermal_heat import MEASURED, MOTORS, NODES, Ills, heat_record, no_ills, settled
 from sim.physics.plant import TRACTION_350KW
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 STREAM: Final = 30
@@ -95,7 +94,7 @@ class Labelled(NamedTuple):
 
     temperature: Array
     true: Array
-    at: NDArray[np.int64]
+    at: Ints
     current_square: Array
     speed: Array
     ambient: Array
@@ -104,7 +103,7 @@ class Labelled(NamedTuple):
     fault: Fault | None
 
     @property
-    def faulty(self) -> NDArray[np.bool_]:
+    def faulty(self) -> Flags:
         """(K,) whether a fault is injected."""
         label = np.zeros(len(self.at), dtype=np.bool_)
         if self.fault is not None:
@@ -161,15 +160,20 @@ def clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:
     return out
 
 
-def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
-    """Factors (L, M) that wander around a constant of each motor, with the base's memory."""
-    keep = np.exp(-base.step_s / base.memory_s)
-    white = rng.standard_normal((steps, MOTORS))
-    white[0] /= np.sqrt(1.0 - keep**2)
+def wandering(rng: Rng, shape: tuple[int, ...], memory: float) -> Array:
+    """Random course with standard deviation 1, clipped to 2.5, and this time constant in steps."""
     from scipy.signal import lfilter
 
-    wander = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0)
-    return np.asarray(1.0 + sigma * (clipped(own, MOTORS) + np.clip(wander, -2.5, 2.5)) / 1.5)
+    keep = np.exp(-1.0 / memory)
+    white = rng.standard_normal(shape)
+    white[0] /= np.sqrt(1.0 - keep**2)
+    return np.clip(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0), -2.5, 2.5)
+
+
+def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
+    """Factors (L, M) that wander around a constant of each motor, with the base's memory."""
+    wander = wandering(rng, (steps, MOTORS), base.memory_s / base.step_s)
+    return np.asarray(1.0 + sigma * (clipped(own, MOTORS) + wander) / 1.5)
 
 
 def _ageing(rng: Rng, most: float, steps: int) -> Array:

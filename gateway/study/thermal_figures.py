@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE
 from gateway.study.reproduction_figures import save, subplots
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS: Final = (BLUE, GREEN, "#CC79A7", ORANGE)
 """Colours of the four coaches, which differ in their dashes as well."""
@@ -38,26 +39,22 @@ class Train(NamedTuple):
     mixed: Array
     beyond: Array
     detail: Array
-    jumps: NDArray[np.bool_]
+    jumps: Flags
     maisd: Array
     limit: Array
 
 
 def states(stem: Path, train: Train) -> None:
     """Figure 4: readings and estimated states of the odd motor, and its mixed state."""
-    figure, axes = subplots(4, 1, (11.0, 9.0), sharex=True)
+    figure, axes = _points("°C")
     m = train.odd
     for p in range(3):
         axis = axes[p, 0]
         axis.plot(train.days, train.reading[:, m, p], ".", ms=3.0, color=GREY, label="reading")
         axis.plot(train.days, train.state[:, m, p], color=BLUE, lw=1.0, label="estimate")
-        axis.set_ylabel(f"{NAMES[p]}\n°C")
     axes[3, 0].plot(train.days, train.mixed[:, m], color=BLUE, lw=1.0)
-    axes[3, 0].set_ylabel("sigma-mixed\n°C")
     axes[0, 0].legend(loc="upper right", ncols=2)
-    _finish(axes, train)
-    figure.suptitle(f"Figure 4: states of the motor in coach {m + 1}")
-    save(figure, stem)
+    _finish(stem, train, figure, f"Figure 4: states of the motor in coach {m + 1}")
 
 
 def errors(stem: Path, train: Train) -> None:
@@ -65,21 +62,22 @@ def errors(stem: Path, train: Train) -> None:
 
     For the mixed state, less the mean of these readings at the three points.
     """
+    figure, axes = _points("error / K")
+    m = train.odd
+    mixed = train.mixed[:, m] - train.true[:, m].mean(axis=1)
+    error = np.column_stack([train.state[:, m] - train.true[:, m], mixed])
+    for axis, line in zip(axes[:, 0], error.T, strict=True):
+        axis.plot(train.days, line, color=BLUE, lw=0.9)
+        axis.axhline(0.0, color=GREY, lw=0.8)
+    _finish(stem, train, figure, f"Figure 5: errors of the states, coach {m + 1}")
+
+
+def _points(unit: str) -> tuple[Figure, Any]:
+    """A figure, and its axes for the three points and the mixed state."""
     figure, axes = subplots(4, 1, (11.0, 9.0), sharex=True)
-    for p in range(3):
-        error = train.state[:, train.odd, p] - train.true[:, train.odd, p]
-        axes[p, 0].plot(train.days, error, color=BLUE, lw=0.9)
-        axes[p, 0].axhline(0.0, color=GREY, lw=0.8)
-        axes[p, 0].set_ylabel(f"{NAMES[p]}\nerror / K")
-    axes[3, 0].plot(
-        train.days, train.mixed[:, train.odd] - train.true[:, train.odd].mean(axis=1),
-        color=BLUE, lw=0.9,
-    )  # fmt: skip
-    axes[3, 0].axhline(0.0, color=GREY, lw=0.8)
-    axes[3, 0].set_ylabel("sigma-mixed\nerror / K")
-    _finish(axes, train)
-    figure.suptitle(f"Figure 5: errors of the states, coach {train.odd + 1}")
-    save(figure, stem)
+    for axis, name in zip(axes[:, 0], (*NAMES, "sigma-mixed"), strict=True):
+        axis.set_ylabel(f"{name}\n{unit}")
+    return figure, axes
 
 
 def jumps(stem: Path, train: Train) -> None:
@@ -101,9 +99,7 @@ def jumps(stem: Path, train: Train) -> None:
     axes[2, 0].set_ylabel("Haar detail, level 1\n(difference / √2) / K")
     if len(where):
         axes[2, 0].legend(loc="upper right")
-    _finish(axes, train, shade=False)
-    figure.suptitle(f"Figure 6: jump points of coach {train.odd + 1}")
-    save(figure, stem)
+    _finish(stem, train, figure, f"Figure 6: jump points of coach {train.odd + 1}", shade=False)
 
 
 def motors(stem: Path, train: Train) -> None:
@@ -122,9 +118,7 @@ def motors(stem: Path, train: Train) -> None:
         axis.axhline(train.limit[p], color=ORANGE, ls="--", lw=1.2, label="limit")
         axis.set_ylabel(f"{NAMES[p]}\nMAISD / K")
     axes[1, 0].legend(loc="upper left", ncols=2)
-    _finish(axes, train)
-    figure.suptitle("Figure 7: motors of all coaches, and the spread between them")
-    save(figure, stem)
+    _finish(stem, train, figure, "Figure 7: motors of all coaches, and the spread between them")
 
 
 def detection(stem: Path, train: Train, found: Mapping[str, tuple[Array, float]]) -> None:
@@ -137,15 +131,16 @@ def detection(stem: Path, train: Train, found: Mapping[str, tuple[Array, float]]
         axis.plot(train.days[alarm], statistic[alarm], ".", ms=4.0, color=ORANGE)
         axis.axhline(limit, color=ORANGE, ls="--", lw=1.0)
         axis.set_ylabel(name)
-    _finish(axes, train)
-    figure.suptitle("Figure 8: statistics; dots: above the limit; shaded: the fault is there")
-    save(figure, stem)
+    title = "Figure 8: statistics; dots: above the limit; shaded: the fault is there"
+    _finish(stem, train, figure, title)
 
 
-def _finish(axes: Any, train: Train, *, shade: bool = True) -> None:
-    for axis in axes[:, 0]:
+def _finish(stem: Path, train: Train, figure: Figure, title: str, *, shade: bool = True) -> None:
+    """Title, time and grid; saves the figure. shade: while the fault is there."""
+    for axis in figure.axes:
         axis.grid(alpha=0.3)
         if shade:
             axis.axvspan(*train.fault, color=ORANGE, alpha=0.12, lw=0)
-    axes[-1, 0].set_xlabel("day")
-    axes[-1, 0].set_xlim(0.0, train.days[-1])
+    figure.axes[-1].set(xlabel="day", xlim=(0.0, train.days[-1]))
+    figure.suptitle(title)
+    save(figure, stem)

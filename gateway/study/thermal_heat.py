@@ -8,12 +8,10 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Ints
 from sim.physics.plant import TRACTION_350KW
 from sim.records import ffi, lib, pointer
-
-Array = NDArray[np.float64]
 
 MOTORS: Final = 4
 NODES: Final = 6
@@ -54,11 +52,17 @@ def no_ills(steps: int) -> Ills:
     return Ills(0, WINDING, np.zeros(steps), np.zeros(steps), np.ones(steps))
 
 
-def settled(square: float, speed: float, blocked: float, resistance: float, extra: Array) -> Array:
-    """Rise (3,) above ambient, K, at the measured points, in the steady state of a mean motor."""
+def _links() -> Array:
+    """(6, 6) W/K."""
     g = np.zeros((NODES, NODES))
     for a, b, w in LINKS:
         g[a, b] = g[b, a] = w
+    return g
+
+
+def settled(square: float, speed: float, blocked: float, resistance: float, extra: Array) -> Array:
+    """Rise (3,) above ambient, K, at the measured points, in the steady state of a mean motor."""
+    g = _links()
     matrix = np.diag(g.sum(axis=1)) - g
     matrix[FRAME, FRAME] += (AIR_STILL + AIR_PER_SPEED * speed) * (1.0 - blocked)
     matrix[BEARING_DE, BEARING_DE] += BEARING_AIR
@@ -76,16 +80,13 @@ def settled(square: float, speed: float, blocked: float, resistance: float, extr
 
 def heat_record(
     step_s: float, square: Array, speed: Array, unlike: tuple[Array, Array, Array], ills: Ills,
-    at: NDArray[np.int64],
+    at: Ints,
 ) -> Array:  # fmt: skip
     """Temperatures (K, M, 3) degC at the measured points; the motors have run for some hours.
 
     unlike: local air degC, factors on cooling air and friction, each (L, M).
     """
     local, air, friction = unlike
-    links = np.zeros((NODES, NODES))
-    for a, b, g in LINKS:
-        links[a, b] = links[b, a] = g
     start = settled(float(square.mean()), float(np.abs(speed).mean()), 0.0, 1.0, np.zeros(NODES))
     state = np.full((MOTORS, NODES), float(local[0].mean() + 0.6 * start.mean()))
     state[:, WINDING] += 0.4 * start[0]
@@ -97,7 +98,7 @@ def heat_record(
     rub = FRICTION * np.abs(speed)[:, None] * friction
     out = np.empty((len(at), MOTORS, NODES))
     held = [np.ascontiguousarray(x, float) for x in (
-        copper, iron, rub, cooling, local, ills.heat, links, CAPACITY,
+        copper, iron, rub, cooling, local, ills.heat, _links(), CAPACITY,
     )]  # fmt: skip
     *courses, link, capacity = (pointer("double", x) for x in held)
     steps = np.ascontiguousarray(at, np.int64)

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dbc.arrays import Array, Ints
 
 SLOT, END_WINDING, CORE, FRAME, DRIVE_END, OTHER_END, ROTOR, GEARBOX = range(8)
 MERGED: Final = {
@@ -53,7 +52,7 @@ class Network(NamedTuple):
     capacity: Array
     flow: Array
     spread: Array
-    seen: NDArray[np.int64]
+    seen: Ints
 
 
 def network(nodes: int, capacity: Array, links: Array) -> Network:

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from dbc.arrays import Array
 from gateway.study import thermal_network as heat
 from gateway.study.thermal_dataset import (
     BENCH,
@@ -27,11 +27,11 @@ from gateway.study.thermal_dataset import (
     clipped,
     fault_of,
     sensor_error,
+    wandering,
 )
 from gateway.study.thermal_network import Network, network, settle, warm
 from sim.physics.plant import TRACTION_350KW
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 STREAM: Final = 31
@@ -91,7 +91,9 @@ def train(
     healthy = _felt(t, warm(t.net, settle(t.net, *given), *given))
     wrong, effect = None, np.zeros_like(healthy)
     if kind:
-        wrong = fault_of(rng, base, kind)._replace(motor=_driven(rng, parked))
+        wrong = fault_of(rng, base, kind)
+        # A fault in a motor without current has no effect to detect.
+        wrong = wrong._replace(motor=int(rng.choice(np.flatnonzero(~parked))))
         effect = _effect(rng, t, base, wrong, truth)
     true = healthy * t.gain + t.offset_k + error + effect
     noise = t.noise_k * rng.standard_normal(true.shape)
@@ -141,14 +143,6 @@ def _lagged(x: Array, lag_s: float) -> Array:
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=start)[0])
 
 
-def _wander(rng: Rng, shape: tuple[int, ...], memory_s: float) -> Array:
-    """Random course with standard deviation 1, clipped to 2.5, and this time constant."""
-    keep = np.exp(-1.0 / memory_s)
-    white = rng.standard_normal(shape)
-    white[0] /= np.sqrt(1.0 - keep**2)
-    return np.clip(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0), -2.5, 2.5)
-
-
 def _duty(rng: Rng, duty: str, steps: int) -> tuple[Array, Array, Array]:
     """Torque Nm, rotor speed rad/s and direction +-1, (L,) each: legs between stops."""
     shortest, longest, stop_s, pull = DUTIES[duty]
@@ -177,17 +171,17 @@ def _duty(rng: Rng, duty: str, steps: int) -> tuple[Array, Array, Array]:
 def _weather(rng: Rng, t: Train, steps: int) -> tuple[Array, Array]:
     """Air (L, M) degC at the motors, and (L,) in the open: season, gusts, sun and tunnels."""
     season = rng.uniform(-10.0, 32.0)
-    open_air = season + 0.5 * _wander(rng, (steps,), 1200.0)
+    open_air = season + 0.5 * wandering(rng, (steps,), 1200.0)
     tunnel = np.zeros(steps, dtype=np.bool_)
     for _ in range(int(rng.integers(0, 5))):
         at = int(rng.integers(0, steps))
         tunnel[at : at + int(rng.uniform(30.0, 600.0))] = True
     # A tunnel has the mean of the year, about 14 degC; the train brings in half of the air.
     ambient = _lagged(np.where(tunnel, 0.5 * open_air + 0.5 * 14.0, open_air), 20.0)
-    clear = np.clip(0.5 + _wander(rng, (steps,), 1500.0), 0.0, 1.0) * rng.choice([0.0, 1.0])
+    clear = np.clip(0.5 + wandering(rng, (steps,), 1500.0), 0.0, 1.0) * rng.choice([0.0, 1.0])
     # Ballast and frame on the sunny side are up to 3 K warmer; this changes within minutes.
     sun = _lagged(3.0 * clear * ~tunnel, 300.0)[:, None] * t.side
-    draught = 0.5 * _wander(rng, (steps, len(t.side)), 900.0)
+    draught = 0.5 * wandering(rng, (steps, len(t.side)), 900.0)
     return ambient[:, None] + sun + draught, ambient
 
 
@@ -195,8 +189,8 @@ def _slow_errors(rng: Rng, t: Train, steps: int) -> Array:
     """Errors (L, M, 3) of healthy sensors, K: drift, and the part that a channel shares."""
     motors = len(t.side)
     # Self-heating and thermal voltages: a fifth of a kelvin in an hour.
-    drift = 0.15 * _wander(rng, (steps, motors, 3), 3600.0)
-    channel = t.channel_k * _wander(rng, (steps, motors), 600.0)
+    drift = 0.15 * wandering(rng, (steps, motors, 3), 3600.0)
+    channel = t.channel_k * wandering(rng, (steps, motors), 600.0)
     return np.asarray(drift + channel[:, :, None])
 
 
@@ -216,11 +210,13 @@ def _flows(
         0.8 * iron + 0.5 * ripple,
         0.2 * iron + 0.5 * ripple,
     )
-    friction = speed[:, None, None] * t.rub * (1.0 + 0.04 * _wander(rng, (steps, motors, 2), 900.0))
+    friction = (
+        speed[:, None, None] * t.rub * (1.0 + 0.04 * wandering(rng, (steps, motors, 2), 900.0))
+    )
     flows[:, :, [heat.DRIVE_END, heat.OTHER_END]] = friction
     flows[:, :, heat.GEARBOX] = 1.2 * speed[:, None]
     fan = speed[:, None] ** 0.8 * (1.0 + way[:, None] * t.direction)
-    fan = fan * (1.0 + 0.02 * _wander(rng, (steps, motors), 900.0))
+    fan = fan * (1.0 + 0.02 * wandering(rng, (steps, motors), 900.0))
     cooling[:] = heat.STILL + heat.MOVING * fan[:, :, None]
     return flows, copper, cooling, air
 
@@ -231,11 +227,6 @@ def _felt(t: Train, true: Array) -> Array:
     for q, lag in enumerate(t.sensor_lag_s.tolist()):
         out[:, :, q] = _lagged(true[:, :, q], lag)
     return out
-
-
-def _driven(rng: Rng, parked: NDArray[np.bool_]) -> int:
-    """Draw a motor with current: a fault in a motor without current has no effect to detect."""
-    return int(rng.choice(np.flatnonzero(~parked)))
 
 
 def _effect(

@@ -13,6 +13,7 @@ from estimators.thermal.monitor import ThermalMonitor, followed
 from estimators.thermal.promise import hourly, hours_of, promise_of
 from estimators.thermal.record import Record, spacing
 from estimators.tolerance import Promise
+from gateway.io.workers import mapped
 from gateway.reports.scoring import stretches
 from gateway.study.thermal_dataset import BENCH, KINDS
 from gateway.study.thermal_scores import Score, mean, table_of
@@ -90,8 +91,6 @@ def false_alarms(monitor: ThermalMonitor, record: Record) -> int:
 def splits(seeds: Sequence[int], world: str, how: Split, jobs: int = 1) -> Iterator[Kept | None]:
     """Yield the results train by train, in order, computed in `jobs` processes."""
     each = partial(split, world=world, how=how)
-    from gateway.io.workers import mapped
-
     return mapped(each, seeds, jobs)
 
 

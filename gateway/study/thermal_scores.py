@@ -12,12 +12,9 @@ from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags, Ints
 from gateway.reports.scoring import stretches
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SHOWN_K: Final = 2.0
 GONE_K: Final = 1.0
@@ -43,7 +40,7 @@ class Truth(NamedTuple):
 class Diagnosis(NamedTuple):
     """Diagnosis beside the alarm: named motor (K,), and whether the kind is right (K,)."""
 
-    motor: NDArray[np.int64]
+    motor: Ints
     kind_right: Flags
 
 
@@ -68,37 +65,32 @@ class Score(NamedTuple):
 
 
 def score_alarms(
-    statistic: Array,
-    limit: float,
-    truth: Truth,
-    diagnosis: Diagnosis | None = None,
+    statistic: Array, limit: float, truth: Truth, diagnosis: Diagnosis | None = None,
     seconds: float = 0.0,
-) -> Score:
+) -> Score:  # fmt: skip
     """Score one run. A NaN of the statistic is no alarm; a share of no samples is NaN."""
     finite = np.where(np.isfinite(statistic), statistic, -np.inf)
     alarm = finite > limit
     faulty = truth.faulty
     hidden = faulty & (truth.effect < SHOWN_K) & (not truth.loose)
     judged = ~hidden & ~(~faulty & (truth.effect > GONE_K))
-    best = _best(finite, faulty)
+    best_accuracy, best_fpr, best_fnr = _best(finite, faulty)
     healthy_days = np.count_nonzero(~faulty) * truth.sample_s / DAY_S
     hit = np.flatnonzero(alarm & faulty)
-    right = Diagnosis(np.full(len(faulty), -2), np.zeros(len(faulty), dtype=np.bool_))
-    right = diagnosis if diagnosis is not None else right
     return Score(
         accuracy=_share(alarm == faulty),
         fpr=_share(alarm[~faulty]),
         fnr=_share(~alarm[faulty]),
         graced_fpr=_share(alarm[~faulty & judged]),
         graced_fnr=_share(~alarm[faulty & judged]),
-        best_accuracy=best[0],
-        best_fpr=best[1],
-        best_fnr=best[2],
+        best_accuracy=best_accuracy,
+        best_fpr=best_fpr,
+        best_fnr=best_fnr,
         fnr_at_printed=_at(finite, faulty, PRINTED_FPR),
         found=float(len(hit) > 0) if faulty.any() else math.nan,
         delay_s=(float(hit[0]) - truth.begin) * truth.sample_s if len(hit) else math.nan,
-        motor_right=_share(right.motor[hit] == truth.motor) if diagnosis else math.nan,
-        kind_right=_share(right.kind_right[hit]) if diagnosis else math.nan,
+        motor_right=_share(diagnosis.motor[hit] == truth.motor) if diagnosis else math.nan,
+        kind_right=_share(diagnosis.kind_right[hit]) if diagnosis else math.nan,
         episodes=len(stretches(alarm & ~faulty)) / healthy_days,
         seconds=seconds,
     )
@@ -193,11 +185,6 @@ def _time(seconds: float) -> str:
     if not math.isfinite(seconds):
         return "-"
     return f"{seconds:.0f} s" if seconds < 3600.0 else f"{seconds / 3600.0:.1f} h"
-
-
-def table(rows: Iterable[Sequence[str]]) -> str:
-    """Markdown table with the columns of `cells`."""
-    return table_of(COLUMNS, rows)
 
 
 def table_of(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

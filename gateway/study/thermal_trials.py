@@ -13,19 +13,18 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.hypotheses import KINDS as BELIEFS
 from estimators.thermal.maisd_method import Filtering, Learnt, PaperMethod
 from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
 from estimators.thermal.rivals import RIVALS
 from estimators.thermal.sigma_mixed import Estimates, Lumps, lumps
+from gateway.io.workers import mapped
 from gateway.study import thermal_dataset, thermal_other
 from gateway.study.thermal_dataset import BASES, CREEP, KINDS, SENSOR_KINDS, Base, Labelled
 from gateway.study.thermal_scores import Diagnosis, Score, Truth, score_alarms
-
-Array = NDArray[np.float64]
 
 LIMIT: Final = 0.99
 DEVELOPMENT: Final = range(30)
@@ -258,8 +257,6 @@ def evaluate(
     world: str = "ours",
 ) -> Iterator[list[Trial]]:  # fmt: skip
     """Yield the trials seed by seed, in order, computed in `jobs` processes."""
-    from gateway.io.workers import mapped
-
     each = functools.partial(
         trials, base=base, kinds=tuple(kinds), methods=tuple(methods), world=world
     )

@@ -186,16 +186,9 @@ class Plant:
     """N drives in full detail. `advance` moves them by whole control periods of 125 us."""
 
     def __init__(
-        self,
-        motor: Motor,
-        theta_0: Array,
-        *,
-        on_rail: bool,
-        w_0: float,
-        load_0: float,
-        train: Train = TRAIN,
-        p: Columns | None = None,
-    ) -> None:
+        self, motor: Motor, theta_0: Array, *, on_rail: bool, w_0: float, load_0: float,
+        train: Train = TRAIN, p: Columns | None = None,
+    ) -> None:  # fmt: skip
         """Start rolling at `w_0` rad/s (rotor), angles `theta_0` (N,), torque for load `load_0` Nm.
 
         `p` (N,): the drives' own parameters, default all as `motor` (see `parameters`).
@@ -203,6 +196,7 @@ class Plant:
         n = len(theta_0)
         self.motor, self.train, self.on_rail = motor, train, on_rail
         self.p = parameters(motor, n) if p is None else p
+        """(N,) `struct sim_motor`; share, open phase and brake may change between two periods."""
         self.drives = zeros(n, DRIVE)
         self.drives.w_m = w_0 / self.p.wheel
         self.drives.theta_e = np.mod(theta_0, 2.0 * math.pi)
@@ -259,18 +253,6 @@ class Plant:
             pointer("struct sim_drive", self.drives), schedule, pointer("double", out),
         )  # fmt: skip
         return out
-
-    def set_share(self, share: Array) -> None:
-        """Set the share of the train's demand that falls to each drive from now on, (N,)."""
-        self.p.share = share
-
-    def set_open(self, phase_a: NDArray[np.bool_]) -> None:
-        """Set which drives have phase a open from now on, (N,)."""
-        self.p.phase_a_open = phase_a
-
-    def set_brake(self, torque: Array) -> None:
-        """Set the friction brakes' torque from now on, Nm at the motor shaft, (N,), 0: released."""
-        self.p.brake_nm = torque
 
     def slips(self, drive: int, condition: Rail) -> bool:
         """True when this rail cannot carry what is asked of this drive's wheel.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+
 STATOR, DRIVE_END, NON_DRIVE_END, AMBIENT = range(4)
 POINTS: Final = 4
 PHASES: Final = 3
@@ -29,14 +30,9 @@ class CurrentSensors:
     """
 
     def __init__(
-        self,
-        seed: int,
-        drives: int,
-        noise_var: float,
-        offset_a: float | Array,
-        gain: float | Array,
-        range_a: float,
-    ) -> None:
+        self, seed: int, drives: int, noise_var: float, offset_a: float | Array,
+        gain: float | Array, range_a: float,
+    ) -> None:  # fmt: skip
         """`noise_var` A^2 per phase, white; offset and gain of all phases or (N, 3)."""
         self._rngs = [np.random.default_rng([seed, _CURRENT, d]) for d in range(drives)]
         self._sigma = float(np.sqrt(noise_var))

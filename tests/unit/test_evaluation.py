@@ -17,6 +17,7 @@ from gateway.study.evaluation import (
     GatewayOutput,
     listen,
     measure,
+    pooled,
     reliability,
     roc,
 )
@@ -213,9 +214,8 @@ def test_measure_reads_probability_load_and_common_mode():
     assert (found.common.delays_ms, found.common.f1) == ((pytest.approx(60.0),), 84 / 87)
     assert found.levels[1, 180] == 90
     assert found.levels[0, 20] == 2 * (195 - 10)
-    assert found.silent.tolist() == [20, 0]
     assert found.load_rmse_nm == pytest.approx(1.0)
-    assert found.plus(found).levels[1, 180] == 180
+    assert pooled([found, found]).levels[1, 180] == 180
     alone = measure([r for r in rows if r.drive == 1], output, (1,))
     assert alone.common == Score()
 

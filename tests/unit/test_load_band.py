@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from bench.adhesion import DEVELOPMENT, REPORTING, pooled
 from bench.load_band import one, together
+from gateway.study.evaluation import pooled
+from gateway.study.evaluation_runs import Plan, fitted, judge, one_run, record
+from gateway.study.scenarios_family import DEVELOPMENT, REPORTING
+from gateway.study.scenarios_random import random_scenario
 
 SEEDS = (41, 42)
+PLAN = Plan(("single",), ("vb",), tuple(REPORTING), "traction.dbc")
 
 
 @pytest.mark.parametrize(
@@ -37,7 +41,7 @@ def test_seeds_for_tuning_and_reporting_are_apart():
 
 @pytest.mark.slow
 def test_random_losses_on_the_classic_bus():
-    score = pooled(REPORTING[:10])
+    score = pooled(one_run(PLAN, "single", seed)[0] for seed in REPORTING[:10]).flags
     assert score.f1 >= 0.95
     assert score.good_share >= 0.98
     assert score.median_delay_ms < 40
@@ -45,6 +49,11 @@ def test_random_losses_on_the_classic_bus():
 
 @pytest.mark.slow
 def test_nothing_is_raised_on_healthy_runs():
-    score = pooled(REPORTING[:6], healthy=True)
+    runs = []
+    for seed in REPORTING[:6]:
+        scenario = random_scenario(seed).model_copy(update={"event": []})
+        fit = fitted(PLAN, "vb", scenario)
+        runs.append(judge(record(scenario, *fit), *fit))
+    score = pooled(runs).flags
     assert score.false_positive == 0
     assert score.good_share >= 0.98

@@ -5,15 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.real_findings import (
-    FROZEN_S,
-    POWER_UP_S,
-    deviations,
-    frozen_bridge,
-    hot_bridges,
-    judged,
-    kinds,
-)
 from bench.real_recordings import (
     BRIDGES,
     HALF_BRIDGES,
@@ -29,6 +20,15 @@ from bench.real_recordings import (
     learn_inverter,
     reading,
     to_accuracy,
+)
+from bench.real_temperatures import (
+    FROZEN_S,
+    POWER_UP_S,
+    deviations,
+    frozen_bridge,
+    hot_bridges,
+    judged,
+    kinds,
 )
 from dbc.frame import SECOND
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason

@@ -90,7 +90,7 @@ def test_drive_agrees_with_scipy_in_dq(motor, w_m):
 def test_the_brake_equals_the_reference(w_m, brake):
     """To the bit: also where it stops the wheel, and where it holds it or cannot."""
     plant = build(on_rail=True, w_0=w_m, drives=1)
-    plant.set_brake(np.array([brake]))
+    plant.p.brake_nm = brake
     x, p = columns(plant.drives)[0], columns(plant.p)[0]
     curve = rail_array([RAILS["dry"]])[0]
     for _ in range(5):
@@ -113,8 +113,7 @@ def test_the_plant_equals_the_reference(seed):
     for k in range(10):
         p[:, reference.BRAKE] = [rng.choice([0.0, 20.0]), 20.0 * (k % 3)]
         p[:, reference.PHASE_OPEN] = rng.random(2) < 0.2
-        plant.set_brake(p[:, reference.BRAKE])
-        plant.set_open(p[:, reference.PHASE_OPEN])
+        plant.p.brake_nm, plant.p.phase_a_open = p[:, reference.BRAKE], p[:, reference.PHASE_OPEN]
         x[:, 2] += rng.choice([0.0, 20.0, -20.0], 2)  # wheels that run away
         plant.drives.w_m = x[:, 2]
         names = rng.choice(list(RAILS), (n, 2))

@@ -167,7 +167,6 @@ def test_random_scenarios_are_reproducible_and_cover_their_ranges():
     for sign in (speeds > 0, loads > 0):
         assert 0.25 < sign.mean() < 0.75
     assert {r.event[0].drive for r in runs} == {1, 2, 3}
-    assert random_scenario(3, healthy=True).event == []
 
 
 @pytest.mark.parametrize(

@@ -304,11 +304,9 @@ def test_what_cannot_be_simulated_is_refused(tmp_path):
 def test_a_full_bus_drops_what_comes_too_late():
     simulation = Simulation(scenario(bus={"bitrate": 250_000}), codec())
     out = run(simulation, 0.5)
-    assert simulation._arbiter.overwritten > 100
     assert all(a.t_ns < b.t_ns for a, b in pairwise(out))
     free = Simulation(scenario(bus={"bitrate": 0}), codec())
-    assert len(run(free, 0.5)) > len(out)
-    assert free._arbiter.overwritten == 0
+    assert len(run(free, 0.5)) > len(out) + 100
 
 
 def test_another_motor():

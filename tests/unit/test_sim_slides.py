@@ -195,7 +195,7 @@ def test_brakes_lock_the_wheel_on_leaves_while_its_motor_coasts(motor, sign):
 
 def test_a_motor_pulls_in_vain_against_a_locked_brake():
     plant = build()
-    plant.set_brake(np.array([80.0, 0.0]))
+    plant.p.brake_nm = [80.0, 0.0]
     advance(plant, 0.5, load=18.0)
     out = advance(plant, 0.2, load=18.0)
     assert not out[:, 0, c.SPEED].any()
@@ -217,7 +217,7 @@ def test_a_brake_too_weak_to_hold_only_drags():
 
 def test_a_weak_brake_lets_a_standing_wheel_go():
     plant = build(w_0=0.0, load=0.0)
-    plant.set_brake(np.array([5.0, 0.0]))
+    plant.p.brake_nm = [5.0, 0.0]
     out = advance(plant, 1.0, w_ref=5.0, load=0.0)
     assert out[-1, 0, c.SPEED] > 1.0
     assert out[:, 0, c.SPEED].min() >= 0.0
@@ -227,7 +227,7 @@ def test_a_weak_brake_lets_a_standing_wheel_go():
 def test_momentum_and_energy_with_brakes_and_a_slide(w_0):
     nm = np.array([18.0, 18.0])
     plant = build(w_0=w_0, load=0.0)
-    plant.set_brake(nm)
+    plant.p.brake_nm = nm
     out = advance(plant, 0.6, w_ref=w_0, rail="leaves")
     v = np.concatenate([[w_0], np.zeros(len(out))])
     impulse = np.cumsum(out[:, :, c.LOAD].mean(axis=1) * DT)

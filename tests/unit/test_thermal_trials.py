@@ -11,7 +11,16 @@ from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, SENSOR_KINDS, SIZE
 from gateway.study.thermal_heat import MOTORS
 from gateway.study.thermal_other import train as other_train
 from gateway.study.thermal_report import FIGURES, markdown, rows
-from gateway.study.thermal_scores import Diagnosis, Truth, cells, mean, score_alarms, spread, table
+from gateway.study.thermal_scores import (
+    COLUMNS,
+    Diagnosis,
+    Truth,
+    cells,
+    mean,
+    score_alarms,
+    spread,
+    table_of,
+)
 from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, Trial, confused, trials
 
 
@@ -130,7 +139,7 @@ def test_a_healthy_run_has_no_misses():
     assert spread([s, s]).accuracy == 0.0
     line = cells("model", "none", [s])
     assert line[:4] == ["model", "none", "1", "100.0"]
-    assert table([line]).count("\n") == 2
+    assert table_of(COLUMNS, [line]).count("\n") == 2
 
 
 def test_the_model_beats_the_papers_method():
