@@ -20,15 +20,7 @@ from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem, Reader
 from dbc.frame import EXTENDED, FD, REMOTE, SECOND
 from dbc.frames import MAX_DATA_BYTES, Block
-from dbc.logs.format import (
-    CLASSIC_BYTES,
-    Format,
-    Head,
-    Line,
-    checked,
-    verdict_with,
-    words_of,
-)
+from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, checked, verdict_with, words_of
 from dbc.logs.lines import Known, Scan, Scanner
 from dbc.logs.pattern import Pattern
 from dbc.text import printable, without_colours

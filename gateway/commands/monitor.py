@@ -60,10 +60,7 @@ def run(options: argparse.Namespace) -> int:
     if not sys.stdout.isatty():
         from gateway.settings.config import ConfigError
 
-        raise ConfigError(
-            "monitor",
-            ["the view needs a terminal as output; or use --web"],
-        )
+        raise ConfigError("monitor", ["the view needs a terminal as output; or use --web"])
     source = open_source(options)
     from gateway.monitor.terminal import MonitorApp
 

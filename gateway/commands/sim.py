@@ -111,10 +111,7 @@ def _truth(path: Path | None, *, keep: bool) -> Iterator[_Truth]:
     if path is None:
         yield _Truth(None)
         return
-    with (
-        whole(path, keep=keep) as part,
-        part.open("w", newline="", encoding="utf-8") as file,
-    ):
+    with whole(path, keep=keep) as part, part.open("w", newline="", encoding="utf-8") as file:
         yield _Truth(file)
 
 

@@ -93,9 +93,7 @@ def touched_drives(scenario: Scenario) -> set[int]:
     return touched
 
 
-def both_sides(
-    key: bytes | None,
-) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
+def both_sides(key: bytes | None) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
     """Sender, and a factory of drives' receivers that accept no freshness before its first."""
     if key is None:
         return None, None

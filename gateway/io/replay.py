@@ -128,12 +128,7 @@ class OneChannel:
             raise BadLogError(msg)
 
 
-def replay(
-    blocks: Iterable[Block],
-    make: Make,
-    period_ns: Nanos,
-    sink: Sink | Briefly,
-) -> Replayed:
+def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink | Briefly) -> Replayed:
     """Run the core over a log. Ticks are t_first + k * period; tick k takes frames with t <= t_k.
 
     A gateway that `make` has resumed from a start record goes on with its own next tick.

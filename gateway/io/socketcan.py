@@ -21,12 +21,7 @@ from dbc.frames import EMPTY, Block
 from gateway.io.batch import Batch
 from gateway.io.kernel import Kernel
 from gateway.io.links import Links
-from gateway.io.transport import (
-    RETRY_NS,
-    LinkState,
-    SendResult,
-    Status,
-)
+from gateway.io.transport import RETRY_NS, LinkState, SendResult, Status
 from gateway.io.wire import FD_SIZE, BusState, pack
 from gateway.settings.config import ConfigError
 

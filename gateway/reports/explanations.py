@@ -95,11 +95,7 @@ _HEALTH: Final = {
         "wait, and let the rotor turn: at standstill its angle is not observable",
         "the first tenth of a second after a start",
     ),
-    Health.TRACKING: (
-        "speed and load are estimated from fresh samples",
-        "nothing",
-        "driving",
-    ),
+    Health.TRACKING: ("speed and load are estimated from fresh samples", "nothing", "driving"),
     Health.PREDICTING: (
         "no fresh sample: the last estimate is extrapolated for a short time",
         "look for lost frames",

@@ -162,10 +162,7 @@ class Snapshot(NamedTuple):
     """A trace of the last 60 s for each drive."""
 
 
-_WORDS: Final[Mapping[str, Mapping[Flag, str]]] = {
-    "adhesion": ADHESION,
-    "common_mode": COMMON,
-}
+_WORDS: Final[Mapping[str, Mapping[Flag, str]]] = {"adhesion": ADHESION, "common_mode": COMMON}
 
 
 def word(name: str, value: IntEnum) -> str:
