@@ -112,8 +112,7 @@ def check_files(config: Config) -> None:
 def check_digest(config: Config, digest: str) -> None:
     """Raises ConfigError unless this is the digest of the DBC that was signed."""
     if digest != config.sealed["dbc"]:
-        problem = "was changed while it was read; start again"
-        raise ConfigError(str(config.dbc_path), [problem])
+        raise ConfigError(str(config.dbc_path), ["was changed while it was read; start again"])
 
 
 def make_keys(private: Path, public: Path) -> None:

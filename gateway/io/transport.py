@@ -155,8 +155,7 @@ class Allow:
         self._lengths = dict(lengths)
         self._starts = frozenset(bytes((1, node)) for node in started)
         if NMT_ID in self._lengths or bytes((1, 0)) in self._starts:
-            msg = "NMT is allowed by node number only, and never to node 0 (broadcast)"
-            raise ValueError(msg)
+            raise ValueError("NMT is allowed by node number only, and never to node 0 (broadcast)")
 
     @classmethod
     def from_codec(

@@ -185,8 +185,7 @@ def read_parquet(path: Path) -> Iterator[Frame]:
             for batch in file.iter_batches(1 << 13):
                 yield from _frames(batch)
     except pa.ArrowException as error:
-        text = " ".join(str(error).split())
-        raise LogError(str(path), 0, f"cannot be read: {text}") from error
+        raise LogError(str(path), 0, f"cannot be read: {' '.join(str(error).split())}") from error
 
 
 def _frames(batch: Any) -> Iterator[Frame]:

@@ -62,8 +62,7 @@ class LogSource:
                 first = block.t_ns.item(0) if first is None else first
                 latest = block.t_ns.item(-1)
         if first is None:
-            msg = "no frame in the log (or none on this channel)"
-            raise BadLogError(msg)
+            raise BadLogError("no frame in the log (or none on this channel)")
         self._first_ns: Nanos = first
         self._last_ns: Nanos = max(first, latest)
         self._target_ns: Nanos = first

@@ -57,8 +57,7 @@ class Source(Strict):
     @model_validator(mode="after")
     def _some_scale(self) -> Source:
         if abs(self.scale) < LEAST_SCALE:
-            msg = f"scale: {self.scale:g} is too small: the signal would be 0"
-            raise ValueError(msg)
+            raise ValueError(f"scale: {self.scale:g} is too small: the signal would be 0")
         return self
 
     @property

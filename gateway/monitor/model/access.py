@@ -52,8 +52,7 @@ def listen(text: str, default: Listen) -> Listen:
             host = host.strip("[]")
     number = int(port) if port.isascii() and port.isdigit() else default.port if not port else -1
     if not host or not 0 <= number <= 65535 or "/" in host:
-        msg = f"{text!r} is not HOST:PORT"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is not HOST:PORT")
     return Listen(host, number)
 
 
