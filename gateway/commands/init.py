@@ -6,18 +6,20 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from dbc.spec import MessageSpec
 from gateway.commands.common import BAD_INPUT, add_line, pattern_of, shown
 from gateway.io.console import note
-from gateway.io.whole_file import write_text
-from gateway.mapping import bus_fit, first_config, guess
-from gateway.mapping.bus_fit import Cycle
-from gateway.mapping.first_config import Shared, is_sure
 from gateway.settings.config import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from dbc.spec import MessageSpec
+    from gateway.mapping import guess
+    from gateway.mapping.bus_fit import Cycle
+    from gateway.mapping.first_config import Shared
 
 MOST_DRIVES: Final = 16
 FRAMES: Final = 200_000
@@ -54,6 +56,9 @@ def _whole_number(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Write and check the configuration. Raises ConfigError, DbcMismatch, LogError, OSError."""
+    from gateway.io.whole_file import write_text
+    from gateway.mapping import first_config
+
     if options.output.exists():
         raise ConfigError(f"{options.output}: already exists", ["name another file with -o"])
     dbc = _asked_dbc() if options.dbc is None else options.dbc
@@ -72,6 +77,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     from dbc.tolerant import read_any_dbc
+    from gateway.mapping import first_config, guess
 
     specs, left_out = read_any_dbc(dbc)
     if left_out:
@@ -85,7 +91,7 @@ def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     there = [spec for spec in specs if spec.key in of_log] if of_log else list(specs)
     found = guess.candidates(there)
     chosen = guess.chosen(found)
-    if not any(map(is_sure, chosen)):
+    if not any(map(first_config.is_sure, chosen)):
         where = f" that are in {options.log}" if of_log else ""
         raise ConfigError(
             str(dbc),
@@ -102,7 +108,9 @@ def _shared(
     dbc: str, specs: Sequence[MessageSpec], of_log: Mapping[int, Cycle],
     chosen: Sequence[guess.Guess], drives: int, id_step: int | None,
 ) -> Shared:  # fmt: skip
-    sure = [g.message for g in chosen if is_sure(g)]
+    from gateway.mapping import first_config, guess
+
+    sure = [g.message for g in chosen if first_config.is_sure(g)]
     used = {spec.key: guess.layout(spec) for spec in sure}
     step, source = id_step, "as --id-step says"
     if step is None:
@@ -122,7 +130,7 @@ def _shared(
         if not spec.cycle_ns
     }
     name = re.sub(r"\W+", "_", Path(dbc).stem).strip("_").lower() or "inverter"
-    return Shared(name, dbc, chosen, {}, cycles, measured, 0, step, source)
+    return first_config.Shared(name, dbc, chosen, {}, cycles, measured, 0, step, source)
 
 
 def _free_step(used: set[int], drives: int) -> int:
@@ -134,9 +142,12 @@ def _free_step(used: set[int], drives: int) -> int:
 
 
 def _say(shared: Shared, drives: int) -> None:
-    for one in shared.chosen:
-        verb = "is" if is_sure(one) else "may be"
-        print(f"{one.quantity:<16} {verb} {one.name}")
+    from gateway.mapping import first_config
+    from gateway.mapping.first_config import is_sure
+
+    for guess in shared.chosen:
+        verb = "is" if is_sure(guess) else "may be"
+        print(f"{guess.quantity:<16} {verb} {guess.name}")
     if drives > 1 and not shared.source:
         note(
             f"identifiers of the next drive are guessed, {shared.step:#x} higher: give --id-step, "
@@ -159,6 +170,7 @@ def _cycles_of_log(options: argparse.Namespace) -> dict[int, Cycle]:
     import numpy as np
 
     from gateway.io.replay import OneChannel, open_log
+    from gateway.mapping import bus_fit
 
     log = options.log
     parts, count = [], 0

@@ -86,11 +86,7 @@ class Outcome(NamedTuple):
 
 def touched_drives(scenario: Scenario) -> set[int]:
     """Drives to which an event applies; `all` means every drive."""
-    everyone = set(range(1, scenario.drives + 1))
-    touched: set[int] = set()
-    for event in scenario.event:
-        touched |= everyone if event.drive == "all" else {int(event.drive)}
-    return touched
+    return {drive for event in scenario.event for drive in scenario.drives_of(event.drive)}
 
 
 def both_sides(key: bytes | None) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:

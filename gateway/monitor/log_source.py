@@ -81,11 +81,6 @@ class LogSource:
         """See Source."""
         return self._at_ns < self._target_ns
 
-    @property
-    def ended(self) -> bool:
-        """Whether the last frame is reached."""
-        return self._at_ns >= self._last_ns
-
     def advance(self, wall_dt_s: float) -> Snapshot:
         """See Source. If it cannot keep up with the speed, it plays as fast as it can."""
         if not self.paused and not self.behind:

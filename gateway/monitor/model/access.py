@@ -128,10 +128,11 @@ class Access:
         """
         self._digest = None if token is None else hashlib.sha256(token).digest()
         # The cookie is not the token: it goes to every port of the host, and ends with the process.
-        self._session = (
+        self.session = (
             "" if token is None
             else hmac.new(token, secrets.token_bytes(32), "sha256").hexdigest()
         )  # fmt: skip
+        """Content of the cookie of a person who has given the token."""
         self._names = {*LOOPBACK_NAMES, *(name.lower() for name in names)}
         self._wrong = Wrong()
 
@@ -139,11 +140,6 @@ class Access:
     def wants_token(self) -> bool:
         """Whether a token is needed."""
         return self._digest is not None
-
-    @property
-    def session(self) -> str:
-        """Content of the cookie of a person who has given the token."""
-        return self._session
 
     def page(self, headers: Mapping[str, str]) -> Refusal | None:
         """None if Host and Origin name this machine. headers: names in lower case."""
@@ -166,7 +162,7 @@ class Access:
         """
         if self._digest is None:
             return None
-        if given is None and _is(cookie, self._session):
+        if given is None and _is(cookie, self.session):
             return None
         if given is None:
             scheme, _, given = headers.get("authorization", "").partition(" ")
