@@ -115,7 +115,6 @@ class Crtd(Pattern):
     """OVMS' CRTD: `1R11` is 11 bits, received on bus 1; `T29` 29 bits, sent."""
 
     def __init__(self) -> None:
-        """At the start of a log."""
         super().__init__(CRTD)
 
     def head(self, parts: tuple[str, ...]) -> Head:

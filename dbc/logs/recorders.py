@@ -83,7 +83,6 @@ class Carbus(Format):
     splits = True
 
     def __init__(self) -> None:
-        """At the start of a log."""
         self._times = DayTimes(60 * SECOND)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -32,7 +32,6 @@ class EdsText:
     """Sections and keys, case-insensitive; `faults` lists what was left out."""
 
     def __init__(self, text: str) -> None:
-        """Parse the whole text."""
         self.faults: list[str] = []
         self.sections: dict[str, dict[str, Value]] = {}
         self.objects: list[int] = []

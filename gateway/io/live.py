@@ -63,7 +63,6 @@ class Stop:
     """A request to end, from a signal or from the program."""
 
     def __init__(self) -> None:
-        """Start without a request."""
         self.requested = False
         self.ended: Ended | None = None
         """The signal that requested the end; None if the program did."""

@@ -44,7 +44,6 @@ class BlfFile:
     """A BLF file. Its start time is that of the first frame, cut to milliseconds, in UTC."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         self.written = 0
         self.left_out: Counter[str] = Counter()
         self.reduced: Counter[str] = Counter()

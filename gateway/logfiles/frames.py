@@ -55,7 +55,6 @@ class Candump:
     """`candump -L` text."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         self.written = 0
         self.left_out: Counter[str] = Counter()
         self._writer = Writer(path)
@@ -128,7 +127,6 @@ class ParquetFrames(ParquetRows):
     """Parquet with a row per frame, lossless: `read_parquet` returns the same frames."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         import pyarrow as pa
 
         fields = [

@@ -63,7 +63,6 @@ class TextFile:
     """Whether times count from the first frame, without a sign."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         self.written = self._numbered = 0
         self.left_out: Counter[str] = Counter()
         self.reduced: Counter[str] = Counter()

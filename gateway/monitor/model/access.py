@@ -77,7 +77,6 @@ class Wrong:
     """Wrong tokens by address: after `WRONG_MOST` of them the address has to wait. Bounded."""
 
     def __init__(self) -> None:
-        """Start without wrong tokens."""
         self._by: OrderedDict[str, tuple[float, int]] = OrderedDict()
 
     def waits_s(self, address: str, now_s: float) -> float:

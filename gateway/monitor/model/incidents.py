@@ -41,7 +41,6 @@ class Happenings:
     """Compares each state with the one before, and keeps the changes as events."""
 
     def __init__(self) -> None:
-        """Start without events."""
         self.events: deque[Event] = deque(maxlen=KEPT)
         self._first_ns: Nanos = 0
         self._last: dict[tuple[str, int], object] = {}
