@@ -15,8 +15,9 @@ from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.core.gateway import Gateway
 from gateway.io.canopen_node import CanopenNode
+from gateway.io.permission import Mode, allowed
 from gateway.io.pythoncan import PythonCan
-from gateway.io.transport import Allow, Guarded
+from gateway.io.transport import Guarded
 from gateway.settings.config import Config
 from sim.ground_truth import Truth
 from sim.scenario import Scenario
@@ -62,9 +63,7 @@ def run_demo(
         return 0
 
     bus = {"interface": "virtual", "channel": channel}
-    creep = config.adhesion.send_creep
-    allow = Allow.from_codec(codec, config.nodes, nmt_master=True, creep=creep)
-    ours = Guarded(PythonCan(bus, clock, no_stamp), allow)
+    ours = Guarded(PythonCan(bus, clock, no_stamp), allowed(Mode.HIL, config, codec))
     theirs = PythonCan(bus, clock, no_stamp)
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=False)
     gateway = Gateway(config, codec, 0)

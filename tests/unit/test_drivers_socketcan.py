@@ -408,7 +408,7 @@ class Asker(Links):
         super().__init__("vcan0")
         self.kernel = kernel
         self.asked = 0
-        self.facts = Facts(7, True, True, "can", BusState.ACTIVE, 100, 0, 0, 10)
+        self.facts = Facts(7, True, "can", BusState.ACTIVE, 100, 0, 0, 10)
         self.allowed = True
         self.hurried = 0
         self.closed = 0
