@@ -35,12 +35,12 @@ class Bus:
     def open(self):
         self.calls.append("open")
 
-    def receive(self, timeout_s):
-        self.calls.append(f"receive {timeout_s}")
+    def receive(self):
+        self.calls.append("receive")
         return []
 
-    def receive_block(self, timeout_s):
-        return block_of(self.receive(timeout_s))
+    def receive_block(self):
+        return block_of(self.receive())
 
     def send(self, frame):
         self.sent.append(frame)

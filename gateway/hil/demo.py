@@ -77,10 +77,10 @@ def run_demo(
         for tick in range(round(seconds * config.loop.rate_hz) + 1):
             now = tick * config.loop.period_ns
             time.sleep(max(0.0, start + now / SECOND - time.monotonic()))
-            for frame in simulation.step(theirs.receive(0.0), now):
+            for frame in simulation.step(theirs.receive(), now):
                 theirs.send(frame)
             truth += simulation.truth_rows()
-            received = ours.receive(0.0)
+            received = ours.receive()
             for frame in gateway.step(received, now) + node.step(received, now):
                 ours.send(frame)
             first_flag_s = first_flag_s or time.monotonic() - began_s

@@ -24,7 +24,6 @@ with leanstart.absent("asammdf"):
 
 BATCH = 4096
 """Most frames read in one call."""
-_PAUSE_S = 0.001
 _ECHOING = ("udp_multicast",)
 """Interfaces that receive their own frames even without `receive_own_messages`."""
 
@@ -83,22 +82,16 @@ class PythonCan:
             except (can.CanError, OSError) as error:
                 self.status.note = f"{self.channel}: {error}"
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self) -> list[Frame]:
         """See Transport."""
         now = self._monotonic_ns()
-        deadline = now + int(timeout_s * SECOND)
-        while True:
-            if self._bus is None and now >= self._retry_ns:
-                self._reconnect(now)
-            frames = self._drain()
-            now = self._monotonic_ns()
-            if frames or now >= deadline:
-                return frames
-            time.sleep(_PAUSE_S)
+        if self._bus is None and now >= self._retry_ns:
+            self._reconnect(now)
+        return self._drain()
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self) -> Block:
         """See Transport."""
-        return block_of(self.receive(timeout_s))
+        return block_of(self.receive())
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport."""

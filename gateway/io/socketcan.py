@@ -103,28 +103,22 @@ class SocketCan:
             self._raw = None
         self.status.state = LinkState.ABSENT
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self) -> list[Frame]:
         """See Transport."""
-        return list(self.receive_block(timeout_s).frames())
+        return list(self.receive_block().frames())
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self) -> Block:
         """See Transport."""
         now = self._kernel.monotonic_ns()
         self._tend(now)
         if self._raw is None:
-            if timeout_s > 0:
-                self._kernel.sleep(min(timeout_s, RETRY_NS / SECOND))
             return EMPTY
         self._held = self._held + 1 if self._newest and self._kernel.queued(self._raw) else 0
         if self._held == STALLED_LOOKS:
             self.status.note = (
                 f"{self.channel}: sent frames are still queued; no new ones are added"
             )
-        block = self._drain(self._raw, now)
-        if not block.size and timeout_s > 0 and self._raw is not None:
-            self._kernel.wait(self._raw, max(int(timeout_s * 1000), 1))
-            block = self._drain(self._raw, now)
-        return block
+        return self._drain(self._raw, now)
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport. Nothing is queued while down or bus-off: it would be stale when sent."""

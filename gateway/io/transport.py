@@ -101,7 +101,7 @@ class Status:
 
 
 class Transport(Protocol):
-    """A bus that never raises, never blocks beyond the given time and never retries."""
+    """A bus that never raises, never blocks and never retries."""
 
     status: Status
 
@@ -111,13 +111,13 @@ class Transport(Protocol):
         Raises ConfigError only for what no waiting cures: an unknown interface or option.
         """
 
-    def receive(self, timeout_s: float) -> list[Frame]:
-        """All frames that are waiting, oldest first; if there are none, waits up to `timeout_s`.
+    def receive(self) -> list[Frame]:
+        """All frames that are waiting, oldest first.
 
         `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
         """
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self) -> Block:
         """The same frames as arrays, as the core's loop needs them."""
 
     def send(self, frame: Frame) -> SendResult:
@@ -225,13 +225,13 @@ class Guarded:
         """See Transport."""
         self._inner.open()
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self) -> list[Frame]:
         """See Transport."""
-        return self._inner.receive(timeout_s)
+        return self._inner.receive()
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self) -> Block:
         """See Transport."""
-        return self._inner.receive_block(timeout_s)
+        return self._inner.receive_block()
 
     def send(self, frame: Frame) -> SendResult:
         """Send if allowed, else REFUSED."""

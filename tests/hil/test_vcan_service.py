@@ -109,7 +109,8 @@ def flags(bus, count):
     found = []
     while len(found) < count:
         assert time.monotonic() < deadline, f"{len(found)} of {count} flag frames"
-        found += [f for f in bus.receive(0.1) if f.can_id == ADHESION]
+        time.sleep(0.01)
+        found += [f for f in bus.receive() if f.can_id == ADHESION]
     return found
 
 
