@@ -11,6 +11,7 @@ import binascii
 import hashlib
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -129,13 +130,9 @@ def make_keys(private: Path, public: Path) -> None:
 
 def write_private(path: Path, content: bytes) -> None:
     """Write a new file that only its owner may read. Raises OSError if the file exists."""
-    with open(path, "xb", opener=_private) as file:
+    with open(path, "xb", opener=partial(os.open, mode=0o600)) as file:
         file.write(content)
         os.fsync(file.fileno())
-
-
-def _private(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_CLOEXEC, 0o600)
 
 
 def _digest(path: Path) -> str:
