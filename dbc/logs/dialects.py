@@ -164,8 +164,6 @@ class Printed(Format):
 
     def line(self, text: str) -> Line:
         """Parse a line without a frame, such as those `can_logger` prints before the first one."""
-        if not text.strip():
-            return Line(Verdict.BLANK)
         return self._unknown()
 
 

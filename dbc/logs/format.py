@@ -97,7 +97,7 @@ class Format:
         return False
 
     def line(self, text: str) -> Line:
-        """Parse a line that is not plain. A line of `changes` may replace `regex`."""
+        """Parse a line, neither plain nor blank. A line of `changes` may replace `regex`."""
         raise NotImplementedError
 
     def _unknown(self) -> Line:

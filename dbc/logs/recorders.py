@@ -58,8 +58,6 @@ class CanKing(Format):
     def line(self, text: str) -> Line:
         """Parse an error frame, a heading, or what CanKing notes when logging stops."""
         text = text.strip()
-        if not text:
-            return Line(Verdict.BLANK)
         if error := _CANKING_ERROR.fullmatch(text):
             flags = ERROR | (TX if error[3] == "T" else 0)
             t_ns = nanoseconds([error[2]]).item()
@@ -103,6 +101,4 @@ class Carbus(Format):
 
     def line(self, text: str) -> Line:
         """Parse a line without a frame: the first one, or a comment."""
-        if not text.strip():
-            return Line(Verdict.BLANK)
         return Line(Verdict.COMMENT) if text.startswith(("@", "#")) else self._unknown()

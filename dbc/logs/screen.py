@@ -103,8 +103,6 @@ class Screen(Format):
         """Parse any other line: a CAN XL frame, a count of lost frames, shell output before."""
         is_detail = text.startswith("\t")  # of the error frame in the line before (-e)
         text = text.strip()
-        if not text:
-            return Line(Verdict.BLANK)
         if is_detail or text.startswith(("#", ";", "//")):
             return Line(Verdict.COMMENT)
         if stamp := _TIME.match(text):

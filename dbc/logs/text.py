@@ -101,7 +101,7 @@ class TextReader(Reader):
         row = self._matches(text)[0]
         # The identifier of a name is at the end of a line.
         plain = row[0] and not form.has_names
-        line = self._plain(row) if plain else form.line(text)
+        line = self._plain(row) if plain else self._other(text)
         # The start of a frame may look like an event.
         known = not line.verdict.is_fault and line.verdict is not Verdict.EVENT
         if line.head is None and known:
@@ -219,7 +219,7 @@ class TextReader(Reader):
             changes = form.changes(row[-1])
             if changes and k:
                 return lines, k
-            lines[k] = form.line(row[-1]) if row[-1] else Line(Verdict.BLANK)
+            lines[k] = self._other(row[-1])
             if changes:
                 # The meaning of heads depends on the format.
                 self._heads.clear()
@@ -227,6 +227,10 @@ class TextReader(Reader):
                 return lines, 1
         form.began = began
         return lines, len(rows)
+
+    def _other(self, text: str) -> Line:
+        """Parse a line that is not plain."""
+        return self._format.line(text) if text.strip() else Line(Verdict.BLANK)
 
     def _rows(
         self, rows: list[tuple[str, ...]], lines: dict[int, Line]
