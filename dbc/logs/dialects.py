@@ -162,10 +162,6 @@ class Printed(Format):
             return Head(number, flags, 0, channel, size or -1)
         return Head(number, flags, size, channel)
 
-    def line(self, text: str) -> Line:
-        """Parse a line without a frame, such as those `can_logger` prints before the first one."""
-        return self._unknown()
-
 
 _OWN: Final[dict[str, Callable[[], Format]]] = {
     CRTD: Crtd, BUSMASTER: BusMaster, PRINTED: Printed, CANKING: CanKing, CARBUS: Carbus,

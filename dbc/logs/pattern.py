@@ -172,7 +172,7 @@ class Pattern(Format):
         text = text.strip()
         if text.startswith(COMMENT):
             return Line(Verdict.COMMENT)
-        return self._unknown()
+        return super().line(text)
 
     def explain(self, text: str) -> str:
         """Message with the column from which a line does not match the pattern; else empty."""

@@ -62,7 +62,7 @@ class CanKing(Format):
             flags = ERROR | (TX if error[3] == "T" else 0)
             t_ns = nanoseconds([error[2]]).item()
             return framed(Head(0, flags, 0, error[1]), t_ns, sure=True)
-        return Line(Verdict.COMMENT) if text.startswith(_CANKING_NOTES) else self._unknown()
+        return Line(Verdict.COMMENT) if text.startswith(_CANKING_NOTES) else super().line(text)
 
     def explain(self, text: str) -> str:
         """What a line may lack, in the words of CanKing."""
@@ -101,4 +101,4 @@ class Carbus(Format):
 
     def line(self, text: str) -> Line:
         """Parse a line without a frame: the first one, or a comment."""
-        return Line(Verdict.COMMENT) if text.startswith(("@", "#")) else self._unknown()
+        return Line(Verdict.COMMENT) if text.startswith(("@", "#")) else super().line(text)

@@ -111,7 +111,7 @@ class Screen(Format):
             return Line(verdict, None, _stamp_ns(stamp[1]))
         if DROPS.fullmatch(text.encode("latin-1", "replace")):
             return Line(Verdict.DROPCOUNT)
-        return Line(Verdict.MALFORMED) if text.startswith("(") else self._unknown()
+        return Line(Verdict.MALFORMED) if text.startswith("(") else super().line(text)
 
 
 def _stamp_ns(text: str) -> int | None:
