@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
 from datetime import timedelta
 from pathlib import Path
 from typing import Final
@@ -17,7 +16,7 @@ from dbc.logs import blf_objects as layout
 from dbc.logs.format import DLC_OF
 from dbc.logs.times import EPOCH
 from gateway.logfiles.channels import ChannelNumbers
-from gateway.logfiles.frames import without
+from gateway.logfiles.frames import Sink, without
 
 _HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000
 _STAMP: Final = struct.Struct("<LHHQ")
@@ -28,14 +27,11 @@ _MOST_CHANNEL: Final = 0xFFFE
 _LOBJ, _AT_ONCE = int.from_bytes(b"LOBJ", "little"), 2048
 
 
-class BlfFile:
+class BlfFile(Sink):
     """A BLF file. Its start time is that of the first frame, cut to milliseconds, in UTC."""
 
     def __init__(self, path: Path) -> None:
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
-        self.reduced: Counter[str] = Counter()
-        """Frames of which a property is not kept, by property."""
+        super().__init__()
         self._channels = ChannelNumbers(_MOST_CHANNEL)
         self._file = path.open("wb")
         self._file.write(bytes(_HEADER_BYTES))
