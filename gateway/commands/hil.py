@@ -204,12 +204,7 @@ def _outcome(
         watch = stack.enter_context(_progress(scenario))
         if options.output is not None:
             watch.append(stack.enter_context(_recording(options.output, paired=key is not None)))
-        if left is None:
-            return run_virtual(scenario, config, codec, watch, key=key)
-        watch.append(lambda *_tick: left.add())
-        return run_virtual(
-            scenario, config, codec, watch, key=key, begin=left.begin, truth=left.add_truth
-        )
+        return run_virtual(scenario, config, codec, watch, key, left)
 
 
 @contextmanager
