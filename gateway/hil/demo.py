@@ -14,7 +14,7 @@ from typing import NamedTuple
 from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.core.gateway import Gateway
-from gateway.io.canopen_node import CanopenNode
+from gateway.io.canopen_node import CanopenNode, meant
 from gateway.io.permission import Mode, allowed
 from gateway.io.pythoncan import PythonCan
 from gateway.io.transport import Guarded
@@ -77,11 +77,11 @@ def run_demo(
         for tick in range(round(seconds * config.loop.rate_hz) + 1):
             now = tick * config.loop.period_ns
             time.sleep(max(0.0, start + now / SECOND - time.monotonic()))
-            for frame in simulation.step(theirs.receive(), now):
+            for frame in simulation.step(theirs.receive().frames(), now):
                 theirs.send(frame)
             truth += simulation.truth_rows()
             received = ours.receive()
-            for frame in gateway.step(received, now) + node.step(received, now):
+            for frame in gateway.step(received, now) + node.step(meant(received), now):
                 ours.send(frame)
             first_flag_s = first_flag_s or time.monotonic() - began_s
             watch(tick, gateway)

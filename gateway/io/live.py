@@ -153,7 +153,7 @@ def _loop(
             gateway.note_timing(
                 timing.latency.quantile(0.99) // 1000, timing.lateness.quantile(0.99) // 1000
             )
-        block = transport.receive_block()
+        block = transport.receive()
         if status.kernel_drops != drops:
             integrity.note_lost(status.kernel_drops - drops)
             drops = status.kernel_drops

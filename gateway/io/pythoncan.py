@@ -82,16 +82,12 @@ class PythonCan:
             except (can.CanError, OSError) as error:
                 self.status.note = f"{self.channel}: {error}"
 
-    def receive(self) -> list[Frame]:
+    def receive(self) -> Block:
         """See Transport."""
         now = self._monotonic_ns()
         if self._bus is None and now >= self._retry_ns:
             self._reconnect(now)
-        return self._drain()
-
-    def receive_block(self) -> Block:
-        """See Transport."""
-        return block_of(self.receive())
+        return block_of(self._drain())
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport."""

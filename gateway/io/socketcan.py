@@ -103,11 +103,7 @@ class SocketCan:
             self._raw = None
         self.status.state = LinkState.ABSENT
 
-    def receive(self) -> list[Frame]:
-        """See Transport."""
-        return list(self.receive_block().frames())
-
-    def receive_block(self) -> Block:
+    def receive(self) -> Block:
         """See Transport."""
         now = self._kernel.monotonic_ns()
         self._tend(now)

@@ -111,14 +111,11 @@ class Transport(Protocol):
         Raises ConfigError only for what no waiting cures: an unknown interface or option.
         """
 
-    def receive(self) -> list[Frame]:
+    def receive(self) -> Block:
         """All frames that are waiting, oldest first.
 
         `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
         """
-
-    def receive_block(self) -> Block:
-        """The same frames as arrays, as the core's loop needs them."""
 
     def send(self, frame: Frame) -> SendResult:
         """Hand one frame over without blocking."""
@@ -225,13 +222,9 @@ class Guarded:
         """See Transport."""
         self._inner.open()
 
-    def receive(self) -> list[Frame]:
+    def receive(self) -> Block:
         """See Transport."""
         return self._inner.receive()
-
-    def receive_block(self) -> Block:
-        """See Transport."""
-        return self._inner.receive_block()
 
     def send(self, frame: Frame) -> SendResult:
         """Send if allowed, else REFUSED."""

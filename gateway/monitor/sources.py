@@ -81,7 +81,7 @@ class Reader:
     def _run(self) -> None:
         # Waiting for each frame would wake the thread thousands of times a second.
         while not self._stop.wait(READ_S):
-            block = self._transport.receive_block()
+            block = self._transport.receive()
             with self._lock:
                 self._now = self._clock()
                 if block.size:

@@ -19,6 +19,7 @@ from dbc.codec import bind
 from dbc.e2e import crc_ok
 from gateway.io.socketcan import SocketCan
 from gateway.settings.config import shipped_dbc
+from tests.buses import frames_of
 
 pytestmark = pytest.mark.vcan
 
@@ -110,7 +111,7 @@ def flags(bus, count):
     while len(found) < count:
         assert time.monotonic() < deadline, f"{len(found)} of {count} flag frames"
         time.sleep(0.01)
-        found += [f for f in bus.receive() if f.can_id == ADHESION]
+        found += [f for f in frames_of(bus) if f.can_id == ADHESION]
     return found
 
 

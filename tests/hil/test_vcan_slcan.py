@@ -25,6 +25,7 @@ from gateway.io.socketcan import SocketCan
 from gateway.io.transport import Allow, LinkState, SendResult
 from gateway.io.wire import BusState
 from gateway.settings.config import shipped_dbc
+from tests.buses import frames_of
 
 pytestmark = pytest.mark.vcan
 
@@ -59,7 +60,7 @@ def until(bus, fulfilled):
     while not fulfilled():
         assert time.monotonic() < deadline, f"not within {PATIENCE_S} s: {bus.status}"
         time.sleep(0.01)
-        frames += bus.receive()
+        frames += frames_of(bus)
     return frames
 
 
@@ -167,7 +168,7 @@ def stalled(bus, adapter):
     reader.start()
     ticks = 0
     while (now := time.monotonic()) < ending - 0.1:
-        bus.receive_block()
+        bus.receive()
         said = bytearray(bytes(2) + round((now - began) * 1e6).to_bytes(6, "little"))
         protect(spec, said, ticks)
         bus.send(Frame(0, FLAGS, bytes(said)))

@@ -12,6 +12,7 @@ from gateway.io.bus import open_transport
 from gateway.io.socketcan import SocketCan
 from gateway.io.transport import LinkState, SendResult
 from gateway.io.wire import BusState
+from tests.buses import frames_of
 
 pytestmark = pytest.mark.vcan
 
@@ -33,7 +34,7 @@ def until(bus, fulfilled):
     deadline = time.monotonic() + PATIENCE_S
     while not fulfilled(frames):
         assert time.monotonic() < deadline, f"not within {PATIENCE_S} s: {frames}, {bus.status}"
-        frames += bus.receive()
+        frames += frames_of(bus)
         time.sleep(0.01)
     return frames
 
@@ -64,7 +65,7 @@ def test_every_kind_of_frame_arrives_as_sent(pair):
         assert a.send(frame) is SendResult.SENT
     received = until(b, lambda frames: len(frames) >= len(KINDS))
     assert [f._replace(t_ns=0) for f in received] == KINDS
-    assert a.receive() == []  # own frames do not come back
+    assert frames_of(a) == []  # own frames do not come back
     assert a.status.sent == b.status.received == len(KINDS)
 
 
@@ -105,7 +106,7 @@ def test_stamps_are_the_time_of_reception_by_the_kernel(pair):
         a.send(Frame(0, 0x181 + k, b""))
         windows.append((before, time.monotonic_ns()))
         time.sleep(0.02)
-    frames = b.receive()  # read long after arrival, all at once
+    frames = frames_of(b)  # read long after arrival, all at once
     assert len(frames) == 5
     slack = 2 * MS  # two clocks are read one after the other
     for frame, (before, after) in zip(frames, windows, strict=True):
@@ -174,7 +175,7 @@ def test_an_interface_absent_at_start_is_waited_for(vcan):
     bus = open_transport({"interface": "socketcan", "channel": vcan.name})
     assert isinstance(bus, SocketCan)
     assert bus.status.state is LinkState.ABSENT
-    assert bus.receive() == []
+    assert frames_of(bus) == []
     assert bus.send(KINDS[0]) is SendResult.DOWN
     vcan.link("create")
     until(bus, lambda _: bus.status.state is LinkState.UP)
@@ -209,7 +210,7 @@ def test_lost_frames_are_counted_exactly(vcan, monkeypatch):
     sent = 1000
     for k in range(sent):
         assert sender.send(Frame(0, k & 0x7FF, bytes(8))) is SendResult.SENT
-    received = len(bus.receive())
+    received = len(frames_of(bus))
     sender.send(KINDS[0])  # the count comes with the next frame that fits
     received += len(until(bus, bool))
     assert bus.status.kernel_drops > 0
@@ -225,7 +226,7 @@ def test_the_receive_buffer_holds_a_second_of_a_full_bus(vcan):
     raw.bind((vcan.name,))
     for _ in range(7400):  # 8-byte frames at 1 Mbit/s
         raw.send(b"\x81\x01\x00\x00\x08\x00\x00\x00" + bytes(8))
-    total = len(bus.receive()) + len(bus.receive())
+    total = len(frames_of(bus)) + len(frames_of(bus))
     assert (total, bus.status.kernel_drops) == (7400, 0)
     raw.close()
     bus.close()

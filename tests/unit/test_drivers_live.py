@@ -69,7 +69,7 @@ class Pair(Bus):
         self._clock = clock
         self._reads = 0
 
-    def receive(self):
+    def waiting_frames(self):
         self.journal.append("receive")
         stamp = self._clock.now
         self._clock.now += self.stall.get(self._reads, 0)

@@ -16,6 +16,7 @@ from gateway.io.socketcan import BATCH, SocketCan
 from gateway.io.transport import LinkState, SendResult
 from gateway.io.wire import BusState, pack
 from gateway.settings.config import ConfigError
+from tests.buses import frames_of
 from tests.messages import put
 
 HOUR = 3600 * SECOND
@@ -141,13 +142,13 @@ def test_a_batch_is_read_at_once_with_reception_times(kernel, bus):
         kernel.arrive(Frame(0, 0x181 + k, b"x"))
         arrivals.append(kernel.mono)
     kernel.pass_time(3 * MS)
-    frames = bus.receive()
+    frames = frames_of(bus)
     assert [f.t_ns for f in frames] == arrivals
     assert [f.can_id for f in frames] == [0x181, 0x182, 0x183, 0x184, 0x185]
     assert {f.channel for f in frames} == {"vcan0"}
     assert bus.status.received == 5
     assert kernel.reads == 1
-    assert bus.receive() == []
+    assert frames_of(bus) == []
 
 
 def test_a_down_between_two_frames_of_one_read_is_told_and_costs_none(kernel, bus):
@@ -157,7 +158,7 @@ def test_a_down_between_two_frames_of_one_read_is_told_and_costs_none(kernel, bu
     arrived = kernel.mono
     kernel.arrive()
     kernel.pass_time(3 * MS)
-    assert [f.t_ns for f in bus.receive()] == [arrived - MS, arrived]
+    assert [f.t_ns for f in frames_of(bus)] == [arrived - MS, arrived]
     assert bus.status.state is LinkState.DOWN
 
 
@@ -182,18 +183,18 @@ def test_an_error_that_the_kernel_keeps_after_a_read_is_raised():
 @pytest.mark.parametrize("step", [-HOUR, HOUR])
 def test_a_step_of_the_wall_clock_moves_a_stamp_by_one_read_at_most(kernel, bus, step):
     kernel.pass_time(10 * MS)
-    assert bus.receive() == []
+    assert frames_of(bus) == []
     emptied = kernel.mono
     kernel.pass_time(4 * MS)
     kernel.arrive()
     kernel.real += step
     kernel.pass_time(6 * MS)
-    (frame,) = bus.receive()
+    (frame,) = frames_of(bus)
     assert emptied <= frame.t_ns <= kernel.mono
     kernel.pass_time(5 * MS)
     kernel.arrive()
     kernel.pass_time(5 * MS)
-    (later,) = bus.receive()
+    (later,) = frames_of(bus)
     assert later.t_ns == kernel.mono - 5 * MS
 
 
@@ -202,9 +203,9 @@ def test_a_flood_is_read_in_bounded_batches_and_ages_stay_right(kernel, bus):
     for _ in range(BATCH + 3):
         kernel.arrive()
     kernel.pass_time(2 * SECOND)
-    assert len(bus.receive()) == BATCH
+    assert len(frames_of(bus)) == BATCH
     kernel.pass_time(SECOND)
-    rest = bus.receive()
+    rest = frames_of(bus)
     assert [f.t_ns for f in rest] == [arrived] * 3
 
 
@@ -227,7 +228,7 @@ def test_drops_are_counted_across_wrap_and_reopening(kernel, bus):
 
 def test_error_frames_set_the_bus_state_and_data_ends_bus_off(kernel, bus):
     error(kernel, Frame(0, 0x004, bytes((0, 0x10, 0, 0, 0, 0, 0, 0)), ERROR))
-    (frame,) = bus.receive()
+    (frame,) = frames_of(bus)
     assert frame.flags == ERROR
     assert bus.status.bus_state is BusState.PASSIVE
     error(kernel, OFF)
@@ -300,7 +301,7 @@ def test_down_and_up_keep_the_socket(kernel, bus):
     kernel.sockets[-1].to_read.append(problem(errno.ENETDOWN))
     kernel.arrive()
     kernel.link = Link(7, up=False, mtu=72)
-    assert len(bus.receive()) == 1  # what was received before is not lost
+    assert len(frames_of(bus)) == 1  # what was received before is not lost
     assert bus.status.state is LinkState.DOWN
     kernel.link = Link(7, up=True, mtu=72)
     kernel.pass_time(SECOND)
@@ -313,12 +314,12 @@ def test_down_and_up_keep_the_socket(kernel, bus):
 def test_a_removed_interface_is_opened_again_when_it_is_back(kernel, bus):
     kernel.sockets[-1].to_read.append(problem(errno.ENODEV))
     kernel.link = None
-    assert bus.receive() == []
+    assert frames_of(bus) == []
     assert bus.status.state is LinkState.ABSENT
     assert kernel.sockets[-1].closed
     assert bus.send(DATA) is SendResult.DOWN
     kernel.pass_time(SECOND)
-    assert bus.receive() == []
+    assert frames_of(bus) == []
     kernel.link = Link(8, up=True, mtu=72)
     kernel.pass_time(100 * MS)
     bus.receive()
@@ -328,7 +329,7 @@ def test_a_removed_interface_is_opened_again_when_it_is_back(kernel, bus):
     assert bus.status.state is LinkState.UP
     assert bus.status.reopened == 1
     kernel.arrive()
-    assert len(bus.receive()) == 1
+    assert len(frames_of(bus)) == 1
 
 
 def test_a_deaf_socket_is_noticed_by_the_index(kernel, bus):
@@ -348,7 +349,7 @@ def test_an_absent_interface_at_start_is_waited_for(kernel):
     bus.open()
     assert bus.status.state is LinkState.ABSENT
     assert "vcan0 is not there" in bus.status.note
-    assert bus.receive() == []
+    assert frames_of(bus) == []
     kernel.link = Link(3, up=False, mtu=16)
     kernel.pass_time(SECOND)
     bus.receive()
@@ -369,7 +370,7 @@ def test_a_kernel_without_can_is_a_configuration_error(kernel):
     kernel.refuse = problem(errno.EMFILE)
     bus.receive()  # once running nothing is raised
     kernel.pass_time(SECOND)
-    assert bus.receive() == []
+    assert frames_of(bus) == []
     assert "cannot be opened" in bus.status.note
 
 

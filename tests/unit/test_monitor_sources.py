@@ -162,7 +162,7 @@ class Fake:
         self.hangs = threading.Event()
         self.hangs.set()
 
-    def receive_block(self):
+    def receive(self):
         self.hangs.wait()
         time.sleep(0.0005)
         first, now = self.given, self.now
