@@ -21,7 +21,7 @@ from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem, Reader
 from dbc.frame import EXTENDED, FD, REMOTE, SECOND
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, checked, verdict_with, words_of
-from dbc.logs.lines import Known, Scan, Scanner
+from dbc.logs.lines import Scan, Scanner
 from dbc.logs.pattern import Pattern
 from dbc.text import printable, without_colours
 
@@ -172,14 +172,12 @@ class TextReader(Reader):
         times = self._format.clock(rows.t_ns, np.ones(rows.size, dtype=np.bool_))
         return rows._replace(t_ns=self._moved(times))
 
-    def _known(self, text: str, line: str) -> Known | None:
-        """Fields of a head of plain data frames; None for any other head."""
+    def _known(self, text: str, line: str) -> Head | None:
+        """A head of plain data frames; None for any other head."""
         parts = tuple(words_of(text)) if self._format.splits else (text,)
         self._format.learn(line)
         head = checked(self._format.head(parts))
-        if head.verdict not in (Verdict.OK, Verdict.FD) or head.length < 0:
-            return None
-        return Known(head.can_id, head.flags, head.length, head.channel, head.dlc)
+        return head if head.verdict in (Verdict.OK, Verdict.FD) and head.length >= 0 else None
 
     def _by_lines(self, text: str) -> Iterator[Block]:
         """Read whole lines with the regular expression; again behind a line that changes it."""

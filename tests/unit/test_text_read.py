@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dbc.logs.lines import ROWS, Known, Scanner, shape_of
+from dbc.logs.format import Head
+from dbc.logs.lines import ROWS, Scanner, shape_of
 
 SECOND, MS, LATEST_NS = 10**9, 10**6, 4 * 10**18
 WORD = rb"[\x21-\xff]++"
@@ -39,7 +40,7 @@ def read(lines, unit_ns):
         def learn(head, _, heads=heads, wanted=wanted):
             heads.append(head.encode("latin-1"))
             size = len(wanted[2]) if isinstance(wanted, tuple) else 0
-            return Known(1, 0, size, "", -1)
+            return Head(1, 0, size)
 
         shape = shape_of(unit_ns, 1, 2, "d", 1)
         scan = Scanner(learn).scan(line + b"\n", 0, shape)
