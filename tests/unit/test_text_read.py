@@ -86,7 +86,7 @@ def test_more_heads_than_the_table_holds():
     def learn(head, line):
         assert line == f"1 {head}\n"
         met.append(head)
-        return Known(1, 0, 0, "", -1)
+        return Head(1, 0, 0)
 
     scanner, shape = Scanner(learn), shape_of(SECOND, 0, 2, "", -1)
     text = b"".join(b"1 %x d\n" % k for k in range(8000))
@@ -100,7 +100,7 @@ def test_more_heads_than_the_table_holds():
 @pytest.mark.parametrize(("head_words", "line"), [(0, b"1 01 02\n"), (2, b"1 a\n")])
 def test_a_line_without_its_head_is_not_plain(head_words, line):
     shape = shape_of(SECOND, 0, head_words, "", -1)
-    anything = Scanner(lambda _, __: Known(1, 0, 0, "", -1))
+    anything = Scanner(lambda _, __: Head(1, 0, 0))
     assert not anything.scan(line, 0, shape).plain.any()
 
 
