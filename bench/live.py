@@ -124,7 +124,7 @@ def per_frame(ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int) -> li
         for payload in tick:
             kernel.theirs.send(payload)
         began = time.thread_time()
-        block = bus.receive_block(0.0)
+        block = bus.receive()
         # As of the log: what is late would be stale.
         block.t_ns[:] = stamps[number]
         inbox.take(block, (number + 1) * 10 * MS)
@@ -151,7 +151,7 @@ def sends(frames: Sequence[Frame]) -> list[tuple[str, ...]]:
     kernel = Pair()
     bus = SocketCan("pair", newest=True, kernel=kernel)
     bus.open()
-    bus.receive_block(0.0)
+    bus.receive()
     taken: dict[SendResult, list[float]] = {SendResult.SENT: [], SendResult.FULL: []}
     with frozen_garbage():
         while min(map(len, taken.values())) < SENDS:
@@ -186,7 +186,7 @@ def whole_tick(
                 kernel.theirs.send(pack(frame) or b"")
             stamps = np.array([frame.t_ns for frame in tick], dtype=np.int64)
             began = time.perf_counter()
-            block = bus.receive_block(0.0)
+            block = bus.receive()
             block.t_ns[:] = stamps
             for frame in gateway.step(block, (number + 1) * period_ns):
                 bus.send(frame)

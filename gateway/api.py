@@ -223,10 +223,7 @@ class Scenario:
         def again(kept: Reporting) -> Facts:
             from gateway.reports.reporting import span_facts
 
-            done = run_virtual(
-                scenario, used, codec, [lambda *_tick: kept.add()], begin=kept.begin,
-                truth=kept.add_truth,
-            )  # fmt: skip
+            done = run_virtual(scenario, used, codec, left=kept)
             return span_facts(kept.trace, done.gateway.inbox.counts["received"])
 
         run = Judged(scenario.title, used, codec, again)

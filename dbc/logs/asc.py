@@ -143,8 +143,6 @@ class Asc(Format):
     def line(self, text: str) -> Line:
         """Parse a header, an event, or a frame: remote, error, CAN FD, or with a name as id."""
         text = text.strip()
-        if not text:
-            return Line(Verdict.BLANK)
         if text.startswith(("//", "#", ";")):
             return Line(Verdict.COMMENT)
         if match := _TIMED.fullmatch(text):

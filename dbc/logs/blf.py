@@ -26,23 +26,7 @@ from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.frame import SECOND, Frame
 from dbc.frames import Block, block_of
-from dbc.logs.blf_objects import (
-    BASE,
-    CONTAINER,
-    CONTAINER_KIND,
-    FILE,
-    MESSAGES,
-    MOST_BYTES,
-    MOST_OF,
-    RESTORE_POINT_KIND,
-    SIGNATURE,
-    find_container,
-    find_object,
-    frame_of,
-    frames_of_run,
-    is_followed,
-    run_of,
-)
+from dbc.logs import blf_objects as layout
 from dbc.logs.objects import BLOCK, ObjectReader
 
 _SEARCH: Final = 1 << 16
@@ -112,11 +96,11 @@ class Blf(ObjectReader):
 
     def _header(self, stream: IO[bytes]) -> None:
         """Read the file's header: start time, expected size and expected number of objects."""
-        head = self._read(stream, FILE.size)
-        if len(head) < FILE.size or head[:4] != b"LOGG":
+        head = self._read(stream, layout.FILE.size)
+        if len(head) < layout.FILE.size or head[:4] != b"LOGG":
             raise LogError(self.name, 0, "cannot be read: not a BLF (it does not begin with LOGG)")
-        fields = FILE.unpack(head)
-        self._read(stream, max(min(fields[1], _SEARCH) - FILE.size, 0))
+        fields = layout.FILE.unpack(head)
+        self._read(stream, max(min(fields[1], _SEARCH) - layout.FILE.size, 0))
         self._start_ns = _system_time_ns(fields[14:22])
         if not self._start_ns:
             self.notes.append("the file has no start time: its times count from 0")
@@ -137,30 +121,30 @@ class Blf(ObjectReader):
 
     def _contents(self, stream: IO[bytes]) -> Iterator[bytes | None]:
         """Yield the bytes of objects, and None where bytes are missing."""
-        head = self._read(stream, BASE.size)
+        head = self._read(stream, layout.BASE.size)
         while head:
-            if len(head) < BASE.size:
+            if len(head) < layout.BASE.size:
                 if head.strip(b"\0"):
                     self.truncated = "in the middle of a container's header"
                 return
-            signature, _, _, size, kind = BASE.unpack(head)
-            if signature != SIGNATURE or not BASE.size <= size <= MOST_BYTES:
+            signature, _, _, size, kind = layout.BASE.unpack(head)
+            if signature != layout.SIGNATURE or not layout.BASE.size <= size <= layout.MOST_BYTES:
                 if head.strip(b"\0"):
                     yield from self._resume(stream)
-                head = self._read(stream, BASE.size)
+                head = self._read(stream, layout.BASE.size)
                 continue
-            body = self._read(stream, size - BASE.size)
-            is_cut = len(body) < size - BASE.size
+            body = self._read(stream, size - layout.BASE.size)
+            is_cut = len(body) < size - layout.BASE.size
             if is_cut:
                 self.truncated = "in the middle of a container"
             padding = self._read(stream, size % 4)
-            this, head = head, self._read(stream, BASE.size)
-            followed = not is_cut and is_followed(padding + head, len(padding))
-            if not followed and (at := find_container(body)) >= 0:
+            this, head = head, self._read(stream, layout.BASE.size)
+            followed = not is_cut and layout.is_followed(padding + head, len(padding))
+            if not followed and (at := layout.find_container(body)) >= 0:
                 self._lose(f"an object of {size} bytes contains another object")
                 yield from self._go_back(stream, len(body) - at + len(padding + head), at)
-                head = self._read(stream, BASE.size)
-            elif kind == CONTAINER_KIND:
+                head = self._read(stream, layout.BASE.size)
+            elif kind == layout.CONTAINER_KIND:
                 self._containers_read += 1
                 yield from self._unpacked(body, is_cut=is_cut)
             elif followed or is_cut:
@@ -179,13 +163,13 @@ class Blf(ObjectReader):
 
     def _resume(self, stream: IO[bytes]) -> Iterator[None]:
         """Go from an invalid object header to the next object, or to the end of the file."""
-        at, back = self.bytes_read - BASE.size, BASE.size + _PADDING
+        at, back = self.bytes_read - layout.BASE.size, layout.BASE.size + _PADDING
         stream.seek(-back, 1)
         self.bytes_read -= back
         window, first, skipped = b"", True, 0
         while piece := self._read(stream, _SEARCH):
             window += piece
-            found = find_object(window, 0)
+            found = layout.find_object(window, 0)
             if found >= 0:
                 stream.seek(found - len(window), 1)
                 self.bytes_read += found - len(window)
@@ -193,7 +177,7 @@ class Blf(ObjectReader):
                     return
                 skipped += found
                 break
-            kept = min(len(window), BASE.size - 1)
+            kept = min(len(window), layout.BASE.size - 1)
             skipped += len(window) - kept
             window, first = window[-kept:], False
         self._lose(f"no object at byte {at}", self._when_unpacked(skipped))
@@ -201,15 +185,15 @@ class Blf(ObjectReader):
 
     def _unpacked(self, body: bytes, *, is_cut: bool) -> Iterator[bytes | None]:
         """Yield the content of a container if it is intact or the file ends in it; None if lost."""
-        if len(body) < CONTAINER.size:
+        if len(body) < layout.CONTAINER.size:
             return
-        method, declared = CONTAINER.unpack_from(body)
-        data = body[CONTAINER.size :]
-        packed, size, why = len(data), min(declared, MOST_BYTES), ""
+        method, declared = layout.CONTAINER.unpack_from(body)
+        data = body[layout.CONTAINER.size :]
+        packed, size, why = len(data), min(declared, layout.MOST_BYTES), ""
         if method == 2:
             unpack = zlib.decompressobj()
             try:
-                data = unpack.decompress(data, MOST_BYTES)
+                data = unpack.decompress(data, layout.MOST_BYTES)
             except zlib.error as error:
                 why = f"a container is damaged ({error})"
             else:
@@ -220,7 +204,7 @@ class Blf(ObjectReader):
             yield data
             self._packed_bytes += packed
             self._unpacked_bytes += len(data)
-            if is_cut or not len(data) < declared <= MOST_BYTES:
+            if is_cut or not len(data) < declared <= layout.MOST_BYTES:
                 return
             why = f"a container has {len(data)} of {declared} bytes"
             size -= len(data)
@@ -236,7 +220,7 @@ class Blf(ObjectReader):
     def _objects(self, data: bytes) -> Generator[Frame | Block, None, bytes]:
         """Yield the frames of complete objects; return the remaining bytes."""
         at = 0 if self._synchronised else self._skip_to_object(data, 0)
-        following = data.find(SIGNATURE, at, at + 8)
+        following = data.find(layout.SIGNATURE, at, at + 8)
         while True:
             if following < 0:
                 if len(data) - at < 8 or not data[at:].strip(b"\0"):
@@ -244,23 +228,23 @@ class Blf(ObjectReader):
                 self._lose("bytes between objects")
                 following = at = self._skip_to_object(data, at)
             at = following
-            if at + BASE.size > len(data):
+            if at + layout.BASE.size > len(data):
                 return data[at:]
-            _, header, version, size, kind = BASE.unpack_from(data, at)
+            _, header, version, size, kind = layout.BASE.unpack_from(data, at)
             end = at + size
-            if size < BASE.size or size > MOST_OF.get(kind, MOST_BYTES):
+            if size < layout.BASE.size or size > layout.MOST_OF.get(kind, layout.MOST_BYTES):
                 self._lose(f"an object of {size} bytes")
                 following = at = self._skip_to_object(data, at, 4)
                 continue
             if end > len(data):
                 return data[at:]
-            if kind in MESSAGES and (objects := run_of(data, at, size)) is not None:
+            if kind in layout.MESSAGES and (objects := layout.run_of(data, at, size)) is not None:
                 yield from self._run(objects)
                 at += size * len(objects)
-                following = data.find(SIGNATURE, at, at + 8)
+                following = data.find(layout.SIGNATURE, at, at + 8)
                 continue
-            following = data.find(SIGNATURE, end, end + 8)
-            if following < 0 and not is_followed(data, end):
+            following = data.find(layout.SIGNATURE, end, end + 8)
+            if following < 0 and not layout.is_followed(data, end):
                 self._lose("an object that is not followed by another")
                 following = at = self._skip_to_object(data, at, 4)
                 continue
@@ -271,7 +255,7 @@ class Blf(ObjectReader):
 
     def _run(self, objects: NDArray[np.void]) -> Iterator[Block]:
         """Yield the frames of a run of objects, if there are any."""
-        block = frames_of_run(objects, self._start_ns)
+        block = layout.frames_of_run(objects, self._start_ns)
         self._object_bytes += objects.nbytes
         if block.size < len(objects):
             self._skip(Verdict.REQUEST, len(objects) - block.size)
@@ -282,12 +266,12 @@ class Blf(ObjectReader):
         """The frame of an object, if it has one."""
         self._object_bytes += len(data)
         try:
-            found = frame_of(data, fields, self._start_ns)
+            found = layout.frame_of(data, fields, self._start_ns)
         except (struct.error, IndexError):
             found = f"an object of kind {fields[3]} that is too short"
         if isinstance(found, Frame):
             return found
-        self._restore_points += fields[3] == RESTORE_POINT_KIND
+        self._restore_points += fields[3] == layout.RESTORE_POINT_KIND
         if isinstance(found, str):
             self._skip_fault(Verdict.MALFORMED, found)
         elif found.is_fault:
@@ -306,7 +290,7 @@ class Blf(ObjectReader):
 
     def _skip_to_object(self, data: bytes, at: int, least: int = 0) -> int:
         """Position of the next object, at least `least` bytes on; the end of the data if none."""
-        found = find_object(data, at + least)
+        found = layout.find_object(data, at + least)
         self._synchronised = found >= 0
         end = found if found >= 0 else len(data)
         self._lost_bytes += end - at
@@ -314,7 +298,7 @@ class Blf(ObjectReader):
 
     def _unfinished(self, rest: bytes) -> Generator[Frame | Block, None, bytes]:
         """Yield the objects inside one whose size is damaged; return the remaining bytes."""
-        while (at := find_object(rest, len(SIGNATURE))) >= 0:
+        while (at := layout.find_object(rest, len(layout.SIGNATURE))) >= 0:
             self._lose("an object that does not end", at)
             rest = yield from self._objects(rest[at:])
         return rest

@@ -82,8 +82,6 @@ class Csv(Format):
 
     def line(self, text: str) -> Line:
         """Parse the header, a comment, or a line that does not have the header's columns."""
-        if not text.strip():
-            return Line(Verdict.BLANK)
         if (columns := columns_of(text)) is not None:
             self._use(columns)
             return Line(Verdict.HEADER)

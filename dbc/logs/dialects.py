@@ -115,7 +115,6 @@ class Crtd(Pattern):
     """OVMS' CRTD: `1R11` is 11 bits, received on bus 1; `T29` 29 bits, sent."""
 
     def __init__(self) -> None:
-        """At the start of a log."""
         super().__init__(CRTD)
 
     def head(self, parts: tuple[str, ...]) -> Head:
@@ -162,12 +161,6 @@ class Printed(Format):
         if flags & REMOTE:
             return Head(number, flags, 0, channel, size or -1)
         return Head(number, flags, size, channel)
-
-    def line(self, text: str) -> Line:
-        """Parse a line without a frame, such as those `can_logger` prints before the first one."""
-        if not text.strip():
-            return Line(Verdict.BLANK)
-        return self._unknown()
 
 
 _OWN: Final[dict[str, Callable[[], Format]]] = {

@@ -97,11 +97,11 @@ class Format:
         return False
 
     def line(self, text: str) -> Line:
-        """Parse a line that is not plain. A line of `changes` may replace `regex`."""
-        raise NotImplementedError
+        """Parse a line that is neither plain nor blank. A line of `changes` may replace `regex`.
 
-    def _unknown(self) -> Line:
-        """A line of unknown form: of the header, before the first frame; else malformed."""
+        By default a line of unknown form: of the header, before the first frame; else malformed.
+        """
+        del text
         if self.began or self._headers >= HEADER_LINES:
             return Line(Verdict.MALFORMED)
         self._headers += 1

@@ -10,6 +10,7 @@ from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
 from dbc.frames import Block, blank
+from dbc.logs.format import Head
 from dbc.records import TEXT_HEAD, pointer, zeros
 
 ROWS: Final = 1 << 15
@@ -25,16 +26,6 @@ def shape_of(
     return ffi.new("struct text_shape *", fields)
 
 
-class Known(NamedTuple):
-    """Fields of a head of plain data frames, see `dbc.logs.format.Head`."""
-
-    can_id: int
-    flags: int
-    length: int
-    channel: str
-    dlc: int
-
-
 class Scan(NamedTuple):
     """n lines of a text. rows: frames if `plain` (n,); start (n + 1,): position of each line."""
 
@@ -46,8 +37,8 @@ class Scan(NamedTuple):
 class Scanner:
     """Scans the texts of one log, and keeps its heads."""
 
-    def __init__(self, learn: Callable[[str, str], Known | None]) -> None:
-        """learn: from a head and a line with it to its fields; None if they are no plain data."""
+    def __init__(self, learn: Callable[[str, str], Head | None]) -> None:
+        """learn: from a head's text and a line with it to the head; None if it is no plain data."""
         self._learn = learn
         self._heads = zeros(lib.TEXT_HEADS, TEXT_HEAD)
         count = len(self._heads)

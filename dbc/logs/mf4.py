@@ -53,8 +53,7 @@ class Mf4(ObjectReader):
         self._reset()
         module = mf4_module()
         if getattr(module, "asammdf", None) is None:
-            cure = how_to_install("mf4")
-            raise LogError(self.name, 0, f"cannot be read: needs asammdf: {cure}")
+            raise LogError(self.name, 0, f"cannot be read: needs asammdf: {how_to_install('mf4')}")
         _calm(module)
         try:
             with ExitStack() as stack:

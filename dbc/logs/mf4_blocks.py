@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import nullcontext
 from pathlib import Path
 from typing import IO, Final, NamedTuple
 
@@ -40,9 +41,7 @@ def missing_part(source: Path | IO[bytes]) -> str:
     source: a file, or a stream with random access.
     """
     try:
-        if not isinstance(source, Path):
-            return _missing_part(source)
-        with source.open("rb") as stream:
+        with source.open("rb") if isinstance(source, Path) else nullcontext(source) as stream:
             return _missing_part(stream)
     except (OSError, ValueError):  # for example a closed stream
         return ""

@@ -170,11 +170,9 @@ class Pattern(Format):
     def line(self, text: str) -> Line:
         """Parse a line that does not match the pattern: blank, comment, header or malformed."""
         text = text.strip()
-        if not text:
-            return Line(Verdict.BLANK)
         if text.startswith(COMMENT):
             return Line(Verdict.COMMENT)
-        return self._unknown()
+        return super().line(text)
 
     def explain(self, text: str) -> str:
         """Message with the column from which a line does not match the pattern; else empty."""

@@ -58,7 +58,7 @@ def fit(pattern: str, lines: Sequence[str]) -> Fit:
     form = format_of(pattern)
     good = bad = header = wrong_length = length_in_data = 0
     stamps = []
-    for line in lines:
+    for line in filter(str.strip, lines):
         rows = form.regex.findall(line)
         row: tuple[str, ...] = rows[0] if rows else ("",)
         if form.order:
@@ -71,7 +71,7 @@ def fit(pattern: str, lines: Sequence[str]) -> Fit:
             stamps += [row[0]] if frame else []
         else:
             verdict = form.line(line).verdict
-            if verdict in (Verdict.BLANK, Verdict.COMMENT):
+            if verdict is Verdict.COMMENT:
                 continue
             frame = verdict <= Verdict.ERROR_FRAME
         header = bad if frame and not good else header

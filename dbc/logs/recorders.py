@@ -58,13 +58,11 @@ class CanKing(Format):
     def line(self, text: str) -> Line:
         """Parse an error frame, a heading, or what CanKing notes when logging stops."""
         text = text.strip()
-        if not text:
-            return Line(Verdict.BLANK)
         if error := _CANKING_ERROR.fullmatch(text):
             flags = ERROR | (TX if error[3] == "T" else 0)
             t_ns = nanoseconds([error[2]]).item()
             return framed(Head(0, flags, 0, error[1]), t_ns, sure=True)
-        return Line(Verdict.COMMENT) if text.startswith(_CANKING_NOTES) else self._unknown()
+        return Line(Verdict.COMMENT) if text.startswith(_CANKING_NOTES) else super().line(text)
 
     def explain(self, text: str) -> str:
         """What a line may lack, in the words of CanKing."""
@@ -83,7 +81,6 @@ class Carbus(Format):
     splits = True
 
     def __init__(self) -> None:
-        """At the start of a log."""
         self._times = DayTimes(60 * SECOND)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -104,6 +101,4 @@ class Carbus(Format):
 
     def line(self, text: str) -> Line:
         """Parse a line without a frame: the first one, or a comment."""
-        if not text.strip():
-            return Line(Verdict.BLANK)
-        return Line(Verdict.COMMENT) if text.startswith(("@", "#")) else self._unknown()
+        return Line(Verdict.COMMENT) if text.startswith(("@", "#")) else super().line(text)

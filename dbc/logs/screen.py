@@ -103,8 +103,6 @@ class Screen(Format):
         """Parse any other line: a CAN XL frame, a count of lost frames, shell output before."""
         is_detail = text.startswith("\t")  # of the error frame in the line before (-e)
         text = text.strip()
-        if not text:
-            return Line(Verdict.BLANK)
         if is_detail or text.startswith(("#", ";", "//")):
             return Line(Verdict.COMMENT)
         if stamp := _TIME.match(text):
@@ -113,7 +111,7 @@ class Screen(Format):
             return Line(verdict, None, _stamp_ns(stamp[1]))
         if DROPS.fullmatch(text.encode("latin-1", "replace")):
             return Line(Verdict.DROPCOUNT)
-        return Line(Verdict.MALFORMED) if text.startswith("(") else self._unknown()
+        return Line(Verdict.MALFORMED) if text.startswith("(") else super().line(text)
 
 
 def _stamp_ns(text: str) -> int | None:

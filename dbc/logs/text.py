@@ -20,16 +20,8 @@ from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem, Reader
 from dbc.frame import EXTENDED, FD, REMOTE, SECOND
 from dbc.frames import MAX_DATA_BYTES, Block
-from dbc.logs.format import (
-    CLASSIC_BYTES,
-    Format,
-    Head,
-    Line,
-    checked,
-    verdict_with,
-    words_of,
-)
-from dbc.logs.lines import Known, Scan, Scanner
+from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, checked, verdict_with, words_of
+from dbc.logs.lines import Scan, Scanner
 from dbc.logs.pattern import Pattern
 from dbc.text import printable, without_colours
 
@@ -109,7 +101,7 @@ class TextReader(Reader):
         row = self._matches(text)[0]
         # The identifier of a name is at the end of a line.
         plain = row[0] and not form.has_names
-        line = self._plain(row) if plain else form.line(text)
+        line = self._plain(row) if plain else self._other(text)
         # The start of a frame may look like an event.
         known = not line.verdict.is_fault and line.verdict is not Verdict.EVENT
         if line.head is None and known:
@@ -180,14 +172,12 @@ class TextReader(Reader):
         times = self._format.clock(rows.t_ns, np.ones(rows.size, dtype=np.bool_))
         return rows._replace(t_ns=self._moved(times))
 
-    def _known(self, text: str, line: str) -> Known | None:
-        """Fields of a head of plain data frames; None for any other head."""
+    def _known(self, text: str, line: str) -> Head | None:
+        """A head of plain data frames; None for any other head."""
         parts = tuple(words_of(text)) if self._format.splits else (text,)
         self._format.learn(line)
         head = checked(self._format.head(parts))
-        if head.verdict not in (Verdict.OK, Verdict.FD) or head.length < 0:
-            return None
-        return Known(head.can_id, head.flags, head.length, head.channel, head.dlc)
+        return head if head.verdict in (Verdict.OK, Verdict.FD) and head.length >= 0 else None
 
     def _by_lines(self, text: str) -> Iterator[Block]:
         """Read whole lines with the regular expression; again behind a line that changes it."""
@@ -227,7 +217,7 @@ class TextReader(Reader):
             changes = form.changes(row[-1])
             if changes and k:
                 return lines, k
-            lines[k] = form.line(row[-1]) if row[-1] else Line(Verdict.BLANK)
+            lines[k] = self._other(row[-1])
             if changes:
                 # The meaning of heads depends on the format.
                 self._heads.clear()
@@ -235,6 +225,10 @@ class TextReader(Reader):
                 return lines, 1
         form.began = began
         return lines, len(rows)
+
+    def _other(self, text: str) -> Line:
+        """Parse a line that is not plain."""
+        return self._format.line(text) if text.strip() else Line(Verdict.BLANK)
 
     def _rows(
         self, rows: list[tuple[str, ...]], lines: dict[int, Line]

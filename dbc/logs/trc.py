@@ -129,8 +129,6 @@ class Trc(Format):
     def line(self, text: str) -> Line:
         """Parse a header, a comment, a remote or error frame, or a state."""
         text = text.strip()
-        if not text:
-            return Line(Verdict.BLANK)
         if match := _KEY.match(text):
             return Line(self._key(match[1].upper(), match[2].strip()))
         if text.startswith(";"):

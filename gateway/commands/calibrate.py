@@ -11,6 +11,7 @@ from gateway.commands.common import GOOD, add_config, shown
 from gateway.commands.progress import Progress, track_file
 from gateway.io.console import note
 from gateway.io.prepare import prepare
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
@@ -53,7 +54,6 @@ def run(options: argparse.Namespace) -> int:
     from gateway.io.replay import BadLogError, OneChannel, open_log
     from gateway.io.whole_file import write_text
     from gateway.settings.calibration import promise_lines, to_toml
-    from gateway.settings.config import ConfigError
     from gateway.study import calibration_fit
     from gateway.study.calibrating import Learner
 
@@ -121,7 +121,6 @@ def _adhesion(options: argparse.Namespace) -> int:
     """
     from gateway.core.gateway import Gateway
     from gateway.io.replay import Briefly, OneChannel, open_log, replay
-    from gateway.settings.config import ConfigError
     from gateway.settings.sections import Adhesion
     from gateway.study.fault_free import Evidence, at_once, largest
 

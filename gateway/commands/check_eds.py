@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from dbc.text import printable
-from gateway.io.device_file import LONGEST_MS, device_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from gateway.io.device_file import Device
-    from gateway.settings.config import Config
-
+from gateway.io.device_file import LONGEST_MS, Device, device_of
+from gateway.settings.config import Config
 
 MOST_FAULTS: Final = 20
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from dbc.codec import Codec
 from gateway.commands.progress import Progress
+from gateway.hil import forecast_table
+from gateway.hil.forecast_table import WITHIN_MS, Cell
 from gateway.io.extras import pictures
-
-if TYPE_CHECKING:
-    from dbc.codec import Codec
-    from gateway.hil.forecast_table import Cell
-    from gateway.settings.config import Config
+from gateway.settings.config import Config
 
 
 def print_table(config: Config, codec: Codec, rated_rpm: float, output: Path | None) -> list[str]:
     """Print the table and write the files; return the motors with no loss that will be found."""
-    from gateway.hil import forecast_table
-    from gateway.hil.forecast_table import WITHIN_MS
-
     if output is not None:
         pictures("--output")
     with Progress("forecast", len(forecast_table.SPEEDS) * len(forecast_table.TORQUES)) as bar:

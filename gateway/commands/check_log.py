@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.codec import Codec
 from dbc.e2e import crc_ok
 from dbc.frame import ERROR, REMOTE
+from dbc.frames import Block
+from dbc.logs.opening import open_reader
+from dbc.spec import MessageSpec
+from gateway.commands.common import pattern_of
 from gateway.commands.progress import Progress
+from gateway.io.replay import OneChannel
 from gateway.mapping import command_fit, fit, rating_fit
 from gateway.mapping.bus_fit import Traffic
 from gateway.mapping.plan import NO_MESSAGE, fitted, plans
 from gateway.mapping.translate import Translator
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from dbc.codec import Codec
-    from dbc.frames import Block
-    from dbc.spec import MessageSpec
-    from gateway.settings.config import Config
+from gateway.settings.config import Config
 
 LOOKED_AT_S: Final = 60.0
 SUB_SAMPLES: Final = 8
@@ -39,10 +39,6 @@ def print_findings(
     path: Path, line: str | None, channel: str | None, config: Config, codec: Codec
 ) -> list[str]:
     """Print a line for each comparison; return what does not fit. Raises as a replay does."""
-    from dbc.logs.opening import open_reader
-    from gateway.commands.common import pattern_of
-    from gateway.io.replay import OneChannel
-
     reader = open_reader(path, strict=False, line=pattern_of(path, line))
     values = _Values(config, codec)
     with Progress("first minute of the log", LOOKED_AT_S) as progress:

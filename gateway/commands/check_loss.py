@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from dbc.codec import Codec
+from gateway.hil.measured import Measured
+from gateway.hil.synthetic_loss import DEPTH, WITHIN_NS, Found, losses, never
 from gateway.mapping import plan as foreign
-
-if TYPE_CHECKING:
-    from dbc.codec import Codec
-    from gateway.hil.measured import Measured
-    from gateway.hil.synthetic_loss import Found
-    from gateway.settings.config import Config
+from gateway.settings.config import Config
 
 
 class Tried(NamedTuple):
@@ -23,8 +21,6 @@ class Tried(NamedTuple):
 
 def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> Tried:
     """Simulate the losses; the first one fills `measured`. Raises ConfigError as `Gateway` does."""
-    from gateway.hil.synthetic_loss import losses, never
-
     blind = never(config, foreign.fitted(codec, foreign.plans(config)))
     found: list[Found] = []
     try:
@@ -36,8 +32,6 @@ def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> T
 
 def print_results(config: Config, tried: Tried) -> list[str]:
     """Print a line per loss; return the problems: losses that are not or cannot be found."""
-    from gateway.hil.synthetic_loss import DEPTH, WITHIN_NS
-
     for node, why in tried.blind.items():
         if node not in _mapped(config):  # the reason of mapped drives is printed above
             _line(f"drive {node} is always Unknown: {why}")

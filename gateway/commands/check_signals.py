@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from gateway.core.motion import FEWEST_SAMPLES
 from gateway.mapping import lacks
-from gateway.mapping.plan import given, raw_ends
+from gateway.mapping.plan import Plan, given, raw_ends
 from gateway.settings.signal_map import UNITS
-
-if TYPE_CHECKING:
-    from gateway.mapping.plan import Plan
 
 
 def signal_lines(plan: Plan) -> list[str]:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
 
+from dbc.codec import Codec
+from dbc.frame import Frame
+from dbc.spec import MessageSpec
 from dbc.wire_time import bits_of
-from gateway.hil.measured import MEASURE_NS
-
-if TYPE_CHECKING:
-    from dbc.codec import Codec
-    from dbc.frame import Frame
-    from dbc.spec import MessageSpec
-    from gateway.hil.measured import Measured
-    from gateway.settings.config import Config
+from gateway.hil.measured import MEASURE_NS, Measured
+from gateway.settings.config import Config
 
 
 def print_results(config: Config, codec: Codec, measured: Measured) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 from dbc.candump.grammar import Verdict
 from dbc.text import printable
 from gateway.io.console import console, note
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from dbc.candump.reader import LogReader
@@ -102,7 +103,6 @@ def pattern_of(log: Path, line: str | None) -> str:
     from dbc.logs.pattern import Pattern, PatternError
     from dbc.logs.proposals import proposed
     from dbc.logs.screen import is_screen_form
-    from gateway.settings.config import ConfigError
 
     if line != "auto":
         try:

@@ -132,7 +132,7 @@ def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     report_log(log.reader)
     print(f"frames: read {done.read}, written {done.sink.written}")
     left = dict(done.sink.left_out)
-    reduced = getattr(done.sink, "reduced", {})
+    reduced = done.sink.reduced
     if decoder is not None and "signals" not in reduced:
         left |= {match.name.lower(): n for match, n in decoder.counts.items() if match}
     if done.steps:

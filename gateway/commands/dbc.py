@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from gateway.commands.common import GOOD, shown
+from gateway.settings.config import ConfigError, shipped_dbc
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +19,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write the DBC. Raises ConfigError if the file exists already, OSError."""
     from gateway.io.whole_file import write_text
-    from gateway.settings.config import ConfigError, shipped_dbc
 
     if options.output.exists():
         raise ConfigError(f"{options.output}: already exists", ["name another file"])

@@ -41,9 +41,9 @@ def run(options: argparse.Namespace) -> int:
     from sim.scenario import find
 
     scenario = find(options.scenario)
-    drives = tuple({"node": n} for n in range(1, scenario.drives + 1))
     config, codec = prepare(None, thermal=scenario_thermal())
-    config = config.model_copy(update={"drive": tuple(Drive(**d) for d in drives)})
+    drives = tuple(Drive(node=n) for n in range(1, scenario.drives + 1))
+    config = config.model_copy(update={"drive": drives})
     intervals, trace = Intervals(config.nodes), Trace(config.nodes)
     ticks = TickLog((intervals.add, trace.add))
     seconds = scenario.duration_s if options.duration is None else options.duration

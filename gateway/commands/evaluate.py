@@ -11,6 +11,7 @@ from gateway.commands.common import GOOD, add_config, number_of_jobs
 from gateway.commands.progress import Progress
 from gateway.io.console import console
 from gateway.io.extras import pictures
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from gateway.study.evaluation_runs import Plan
@@ -58,7 +59,6 @@ def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write the files. Exit 2 if nothing can be evaluated."""
     if options.what == "thermal":
         return evaluate_thermal.run(options)
-    from gateway.settings.config import ConfigError
 
     if options.world == "other":
         raise ConfigError("--world other", [f"is for thermal; known: {', '.join(WORLDS[:-1])}"])
@@ -99,7 +99,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _promise(options: argparse.Namespace, plan: Plan) -> int:
     """Check the stated rate of false adhesion flags on `SPLITS` halves of the runs."""
-    from gateway.settings.config import ConfigError
     from gateway.study.adhesion_promise import measured, report, splits
     from gateway.study.evaluation_runs import known_detectors
 
@@ -119,7 +118,6 @@ def _promise(options: argparse.Namespace, plan: Plan) -> int:
 
 def _families(options: argparse.Namespace) -> tuple[str, ...]:
     """Families asked for. For a wrong name, raises ConfigError, which lists the known ones."""
-    from gateway.settings.config import ConfigError
     from gateway.study.worlds import WORLDS
     from sim.physics.plant import MOTORS
 

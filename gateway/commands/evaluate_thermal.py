@@ -11,6 +11,7 @@ from gateway.commands.common import GOOD
 from gateway.commands.progress import Progress, track
 from gateway.io.console import console
 from gateway.io.whole_file import write_text
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from gateway.study.thermal_trials import Trial
@@ -43,7 +44,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write it if asked for. Exit 2 if nothing can be evaluated."""
     with Progress("loading the methods"):
-        from gateway.settings.config import ConfigError
         from gateway.study.evaluation_runs import seeds_of
         from gateway.study.thermal_dataset import CREEP, KINDS
         from gateway.study.thermal_scores import COLUMNS, cells, table_of
@@ -100,7 +100,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _promise(options: argparse.Namespace, seeds: Sequence[int]) -> int:
-    from gateway.settings.config import ConfigError
     from gateway.study.thermal_promise import RUN_H, Split, report, splits
 
     if not 0.001 <= options.false_alarms <= 1000.0:
@@ -154,7 +153,6 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
 
 
 def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:
-    from gateway.settings.config import ConfigError
 
     names = tuple(dict.fromkeys(asked or known))
     unknown = [name for name in names if name not in known]

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from gateway.commands.common import GOOD, shown
+from gateway.settings.config import ConfigError
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +20,6 @@ def run(options: argparse.Namespace) -> int:
     from shutil import copyfile
 
     from gateway.io.whole_file import whole
-    from gateway.settings.config import ConfigError
 
     if options.output.exists():
         raise ConfigError(f"{options.output}: already exists", ["name a new folder"])

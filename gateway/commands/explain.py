@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from gateway.commands.common import GOOD
+from gateway.settings.config import ConfigError
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +16,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the codes, or all if none is given. Raises ConfigError for an unknown code."""
     from gateway.reports import explanations
-    from gateway.settings.config import ConfigError
 
     if not options.code:
         print(explanations.text(explanations.ALL))

@@ -23,6 +23,7 @@ from gateway.commands.common import (
 )
 from gateway.commands.progress import Progress, stepped
 from gateway.hil.fitting import fitted
+from gateway.io.whole_file import whole, whole_folder
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
@@ -83,7 +84,6 @@ def _judge_all(
     folder = None
     if options.results is not None:
         from gateway.io.extras import pictures
-        from gateway.io.whole_file import whole_folder
 
         pictures("--results")
         folder = results.enter_context(whole_folder(options.results))
@@ -106,8 +106,6 @@ def _judge_all(
             print(f"     inconclusive, this machine could not keep up: {outcome.overload}")
         _suite(suites, scenario.title, outcome, seconds, word)
     if options.junit:
-        from gateway.io.whole_file import whole
-
         with whole(options.junit) as part:
             ET.ElementTree(suites).write(part, encoding="utf-8", xml_declaration=True)
     if folder is not None:
@@ -206,19 +204,13 @@ def _outcome(
         watch = stack.enter_context(_progress(scenario))
         if options.output is not None:
             watch.append(stack.enter_context(_recording(options.output, paired=key is not None)))
-        if left is None:
-            return run_virtual(scenario, config, codec, watch, key=key)
-        watch.append(lambda *_tick: left.add())
-        return run_virtual(
-            scenario, config, codec, watch, key=key, begin=left.begin, truth=left.add_truth
-        )
+        return run_virtual(scenario, config, codec, watch, key, left)
 
 
 @contextmanager
 def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
     """Yield a watcher that writes all frames. paired: each Auth frame follows its flag frame."""
     from dbc.candump.writer import Writer
-    from gateway.io.whole_file import whole
 
     def record(_now: int, received: list[Any], sent: list[Any], _gateway: Any) -> None:
         ours = sent if paired else sorted(sent)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from gateway.commands.common import BAD_INPUT, add_line, pattern_of, shown
 from gateway.io.console import note
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -57,7 +58,6 @@ def run(options: argparse.Namespace) -> int:
     """Write and check the configuration. Raises ConfigError, DbcMismatch, LogError, OSError."""
     from gateway.io.whole_file import write_text
     from gateway.mapping import first_config
-    from gateway.settings.config import ConfigError
 
     if options.output.exists():
         raise ConfigError(f"{options.output}: already exists", ["name another file with -o"])
@@ -78,7 +78,6 @@ def run(options: argparse.Namespace) -> int:
 def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     from dbc.tolerant import read_any_dbc
     from gateway.mapping import first_config, guess
-    from gateway.settings.config import ConfigError
 
     specs, left_out = read_any_dbc(dbc)
     if left_out:
@@ -172,7 +171,6 @@ def _cycles_of_log(options: argparse.Namespace) -> dict[int, Cycle]:
 
     from gateway.io.replay import OneChannel, open_log
     from gateway.mapping import bus_fit
-    from gateway.settings.config import ConfigError
 
     log = options.log
     parts, count = [], 0
@@ -210,7 +208,6 @@ def _asked_dbc() -> Path | None:
 def _check(path: Path, more: Sequence[str]) -> int:
     """Run `check PATH --no-timing`; the file stays even if the check finds it wrong."""
     from gateway.commands import check
-    from gateway.settings.config import ConfigError
 
     parser = argparse.ArgumentParser()
     check.arguments(parser)

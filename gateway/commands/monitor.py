@@ -17,6 +17,7 @@ from gateway.commands import monitor_web
 from gateway.commands.common import GOOD, add_bus, add_config, positive_seconds
 from gateway.io.extras import need
 from gateway.io.prepare import prepare
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from gateway.monitor.sources import Source
@@ -53,17 +54,10 @@ def run(options: argparse.Namespace) -> int:
     if options.web is not None or options.metrics is not None:
         return monitor_web.run(options, open_source)
     if options.token_file is not None:
-        from gateway.settings.config import ConfigError
-
         raise ConfigError("--token-file", ["has no effect without --web or --metrics"])
     need(("textual", "textual_plotext"), "monitor")
     if not sys.stdout.isatty():
-        from gateway.settings.config import ConfigError
-
-        raise ConfigError(
-            "monitor",
-            ["the view needs a terminal as output; or use --web"],
-        )
+        raise ConfigError("monitor", ["the view needs a terminal as output; or use --web"])
     source = open_source(options)
     from gateway.monitor.terminal import MonitorApp
 
@@ -82,7 +76,6 @@ def open_source(options: argparse.Namespace) -> Source:
     """
     from gateway.io.bus import bus_options as named
     from gateway.monitor.model.observer import Observer
-    from gateway.settings.config import ConfigError
 
     if options.log is not None and named(options):
         raise ConfigError("monitor", ["a log and a bus were named; leave one of them out"])

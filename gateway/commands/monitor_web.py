@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.commands.common import GOOD
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from gateway.monitor.model.access import Listen
@@ -76,7 +77,6 @@ def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Sour
 
 def _where(text: str | None, default: str) -> Listen | None:
     from gateway.monitor.model.access import Listen, listen
-    from gateway.settings.config import ConfigError
 
     if text is None:
         return None
@@ -95,7 +95,6 @@ def _token(name: str | None, wanted: Mapping[str, Listen]) -> bytes | None:
     from gateway.io.credentials import private_file
     from gateway.monitor.model.access import token_of
     from gateway.monitor.web import is_loopback
-    from gateway.settings.config import ConfigError
 
     open_to_others = {str(where) for where in wanted.values() if not is_loopback(where)}
     if name is not None:

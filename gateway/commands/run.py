@@ -137,13 +137,10 @@ def run(options: argparse.Namespace) -> int:
                         on_end=overseer.stopping)  # fmt: skip
     summary(gateway, seen)
     if options.results:
-        from gateway.reports.timing import leave
+        from gateway.reports.timing import leave, timed
 
         title = f"Timing on {options_name(options)}, configuration {gateway.outbox.config_hash:06x}"
-        leave(
-            options.results, seen.timing.stage_rows(), title, config.loop.period_ns, seen.tick + 1,
-            seen.missed,
-        )  # fmt: skip
+        leave(options.results, timed(seen, config.loop.period_ns), title)
         print(f"report: {options.results / 'report.html'}")
     return GOOD
 

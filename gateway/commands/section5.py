@@ -55,10 +55,7 @@ class Bus(NamedTuple):
         return f"section5_{self.way.split()[0].lower()}.log"
 
 
-BUSES: Final = (
-    Bus("FD bus", "traction_fd.dbc", 1000),
-    Bus("classic bus", "traction.dbc", 500),
-)
+BUSES: Final = (Bus("FD bus", "traction_fd.dbc", 1000), Bus("classic bus", "traction.dbc", 500))
 
 
 class World(NamedTuple):

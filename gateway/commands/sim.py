@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from gateway.commands.common import GOOD, add_bus, add_duration, names_bus
 from gateway.commands.progress import track
 from gateway.io.console import console
+from gateway.io.whole_file import whole
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
@@ -106,21 +107,15 @@ class _Truth:
 @contextmanager
 def _truth(path: Path | None, *, keep: bool) -> Iterator[_Truth]:
     """Yield the truth file; it gets its name when complete. keep: see `whole`."""
-    from gateway.io.whole_file import whole
-
     if path is None:
         yield _Truth(None)
         return
-    with (
-        whole(path, keep=keep) as part,
-        part.open("w", newline="", encoding="utf-8") as file,
-    ):
+    with whole(path, keep=keep) as part, part.open("w", newline="", encoding="utf-8") as file:
         yield _Truth(file)
 
 
 def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
     from dbc.candump.writer import Writer
-    from gateway.io.whole_file import whole
 
     step = 10_000_000
     with ExitStack() as stack:

@@ -12,9 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from gateway.commands.common import BAD_INPUT
 from gateway.settings.config import ConfigError
-
-BAD = 2
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     if chosen.reason:
         print(f"traction-gateway: {chosen.reason}; Debian: apt-get install {PACKAGES}",
               file=sys.stderr)  # fmt: skip
-        return BAD
+        return BAD_INPUT
     with TemporaryDirectory(prefix="vcan-") as name:
         folder = Path(name)
         lines = [f"export VCAN_FIFOS={name}", *links.around(command, folder)]
@@ -88,7 +87,7 @@ def _apart(lines: list[str], folder: Path) -> int:
     if code is None:
         print(f"traction-gateway: the guest ended before the command did:\n{job.tail()}",
               file=sys.stderr)  # fmt: skip
-        return BAD
+        return BAD_INPUT
     return code
 
 

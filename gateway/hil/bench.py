@@ -16,13 +16,13 @@ from gateway.core.gateway import Gateway
 from gateway.io.canopen_node import CanopenNode
 from gateway.reports.expectations import FlagTrack, Verdict, judge
 from gateway.settings.config import Config
-from sim.ground_truth import Truth
 from sim.scenario import Scenario
 from sim.simulation import Simulation
 
 if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
     from dbc.secoc_sender import Authenticator
+    from gateway.reports.reporting import Reporting
 
 Alter = Callable[[list[Frame], Nanos], list[Frame]]
 """(frames that a gateway sends, now) -> the frames on the bus instead."""
@@ -86,16 +86,10 @@ class Outcome(NamedTuple):
 
 def touched_drives(scenario: Scenario) -> set[int]:
     """Drives to which an event applies; `all` means every drive."""
-    everyone = set(range(1, scenario.drives + 1))
-    touched: set[int] = set()
-    for event in scenario.event:
-        touched |= everyone if event.drive == "all" else {int(event.drive)}
-    return touched
+    return {drive for event in scenario.event for drive in scenario.drives_of(event.drive)}
 
 
-def both_sides(
-    key: bytes | None,
-) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
+def both_sides(key: bytes | None) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
     """Sender, and a factory of drives' receivers that accept no freshness before its first."""
     if key is None:
         return None, None
@@ -112,14 +106,13 @@ def run_virtual(
     codec: Codec,
     watch: Iterable[Watch] = (),
     key: bytes | None = None,
-    begin: Callable[[Gateway], None] | None = None,
-    truth: Callable[[list[Truth]], None] | None = None,
+    left: Reporting | None = None,
 ) -> Outcome:
     """Run on the virtual clock, starting at 0. Raises ConfigError as `Gateway` does.
 
     The gateway starts the drives even if the configuration does not make it NMT master.
-    key: authenticates the flags; the drives then accept no others. begin: called with the gateway
-    before its first tick; truth: called with the rows of the ground truth after every step.
+    key: authenticates the flags; the drives then accept no others. left: records the run for a
+    report.
     """
     watch = tuple(watch)
     authenticator, verifier = both_sides(key)
@@ -127,16 +120,18 @@ def run_virtual(
         scenario, codec, nodes=config.nodes, self_start=False, verifier=verifier
     )
     gateway = Gateway(config, codec, 0, authenticator)
-    if begin is not None:
-        begin(gateway)
+    if left is not None:
+        left.begin(gateway)
     bus, track = VirtualBus(simulation, gateway), FlagTrack(codec, config.nodes)
     for _ in range(round(scenario.duration_s * config.loop.rate_hz) + 1):
         tick = bus.step()
         rows = simulation.truth_rows()
-        if truth is not None:
-            truth(rows)
+        if left is not None:
+            left.add_truth(rows)
         track.add(tick.gateway)
         for look in watch:
             look(*tick, gateway)
+        if left is not None:
+            left.add()
     verdicts = judge(scenario.expect, track, touched_drives(scenario), 0)
     return Outcome(scenario, verdicts, gateway)

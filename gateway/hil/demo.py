@@ -14,9 +14,10 @@ from typing import NamedTuple
 from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.core.gateway import Gateway
-from gateway.io.canopen_node import CanopenNode
+from gateway.io.canopen_node import CanopenNode, meant
+from gateway.io.permission import Mode, allowed
 from gateway.io.pythoncan import PythonCan
-from gateway.io.transport import Allow, Guarded
+from gateway.io.transport import Guarded
 from gateway.settings.config import Config
 from sim.ground_truth import Truth
 from sim.scenario import Scenario
@@ -62,9 +63,7 @@ def run_demo(
         return 0
 
     bus = {"interface": "virtual", "channel": channel}
-    creep = config.adhesion.send_creep
-    allow = Allow.from_codec(codec, config.nodes, nmt_master=True, creep=creep)
-    ours = Guarded(PythonCan(bus, clock, no_stamp), allow)
+    ours = Guarded(PythonCan(bus, clock, no_stamp), allowed(Mode.HIL, config, codec))
     theirs = PythonCan(bus, clock, no_stamp)
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=False)
     gateway = Gateway(config, codec, 0)
@@ -78,11 +77,11 @@ def run_demo(
         for tick in range(round(seconds * config.loop.rate_hz) + 1):
             now = tick * config.loop.period_ns
             time.sleep(max(0.0, start + now / SECOND - time.monotonic()))
-            for frame in simulation.step(theirs.receive(0.0), now):
+            for frame in simulation.step(theirs.receive().frames(), now):
                 theirs.send(frame)
             truth += simulation.truth_rows()
-            received = ours.receive(0.0)
-            for frame in gateway.step(received, now) + node.step(received, now):
+            received = ours.receive()
+            for frame in gateway.step(received, now) + node.step(meant(received), now):
                 ours.send(frame)
             first_flag_s = first_flag_s or time.monotonic() - began_s
             watch(tick, gateway)

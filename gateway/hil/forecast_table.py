@@ -115,24 +115,20 @@ def _draw(path: Path, of: Sequence[Cell]) -> None:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    from gateway.reports.figures import (
-        BLUE,
-        DARK,
-        GREEN,
-        ORANGE,
-        PURPLE,
-        SKY,
-        WIDTH_IN,
-        save,
-        styled,
-    )
+    from gateway.reports import figures
 
     groups = list(dict.fromkeys(cell.nodes for cell in of))
-    with styled():
-        figure = Figure(figsize=(WIDTH_IN, 3.2 * len(groups)), layout="constrained")
+    with figures.styled():
+        figure = Figure(figsize=(figures.WIDTH_IN, 3.2 * len(groups)), layout="constrained")
         FigureCanvasSVG(figure)
         axes = figure.subplots(len(groups), len(TORQUES), sharex=True, sharey=True, squeeze=False)
-        looks = list(zip((BLUE, ORANGE, GREEN, PURPLE, SKY), "os^Dv", strict=True))
+        looks = list(
+            zip(
+                (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE, figures.SKY),
+                "os^Dv",
+                strict=True,
+            )
+        )
         for cell in of:
             axis = axes[groups.index(cell.nodes), TORQUES.index(cell.torque)]
             colour, marker = looks[len(axis.lines) % len(looks)]
@@ -149,7 +145,7 @@ def _draw(path: Path, of: Sequence[Cell]) -> None:
             if axis.lines:
                 axis.legend()
             for within_ms in WITHIN_MS:
-                axis.axhline(within_ms, color=DARK, lw=0.8, ls="--")
+                axis.axhline(within_ms, color=figures.DARK, lw=0.8, ls="--")
         figure.supxlabel("loss of one drive / % of its load")
         figure.supylabel("median delay until AdhesionLost / ms")
-        save(figure, path)
+        figures.save(figure, path)

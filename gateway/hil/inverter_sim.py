@@ -23,7 +23,6 @@ class Inverter:
     """One mapped drive, which translates the frames of a simulated drive."""
 
     def __init__(self, plan: Plan) -> None:
-        """Start without any values."""
         self.plan = plan
         self._known: dict[str, float] = {}
         self._angle: tuple[float, Nanos] = (0.0, 0)

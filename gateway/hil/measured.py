@@ -22,7 +22,6 @@ class Measured:
     """Last second before the loss. frames: both sides'; times_us: the gateway's, for each tick."""
 
     def __init__(self, config: Config) -> None:
-        """Start empty."""
         self.frames: list[Frame] = []
         self.times_us: list[float] = []
         self._node = CanopenNode(config.nodes)

@@ -56,7 +56,7 @@ def run_on_bus(
                 now = ticker.wait().now_ns
                 start = now if start is None else start
                 world = min(now - start, end)
-                frames = simulation.step(transport.receive(0.0), world)
+                frames = simulation.step(transport.receive().frames(), world)
                 held = newest(frames)
                 overwritten += len(frames) - len(held)
                 for frame in held:

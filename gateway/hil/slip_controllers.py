@@ -112,7 +112,6 @@ class FlagLaw:
     """
 
     def __init__(self) -> None:
-        """Start with full torque allowed."""
         self._limit, self._level = np.ones(AXLES), np.ones(AXLES)
         self._cut_s, self._calm_s = np.full(AXLES, np.inf), np.zeros(AXLES)
         self._sped_up = np.zeros(AXLES, np.bool_)

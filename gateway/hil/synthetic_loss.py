@@ -259,10 +259,7 @@ def _ticks(
 
 
 def _judge(
-    config: Config,
-    node: int,
-    ticks: Iterator[tuple[Nanos, Sequence[DriveView]]],
-    begin: Nanos,
+    config: Config, node: int, ticks: Iterator[tuple[Nanos, Sequence[DriveView]]], begin: Nanos
 ) -> Found:
     """Result for a loss on drive `node` at `begin`, from the flags in these ticks."""
     place = config.nodes.index(node)

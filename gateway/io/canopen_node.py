@@ -39,7 +39,6 @@ class GatewayError(IntEnum):
     """Error codes the gateway reports (CiA 301 table of emergency codes)."""
 
     OVERRUN = 0x6100  # internal software: a tick of the loop was missed
-    CONFIGURATION = 0x6320  # parameter error
     COMMUNICATION = 0x8130  # heartbeat, protection or silence of a drive
     INTRUDER = 0x8150  # another node sends the gateway's identifiers
     SENSOR = 0x5030  # sensor hardware
@@ -86,11 +85,6 @@ class CanopenNode:
         self._waiting: dict[int, Nanos] = {}  # pre-operational drive -> time of its next start
         self.another_master = False
         """True for good once an NMT command was received: from then on the gateway sends none."""
-        self.nmt_received = 0
-        self.starts_sent = 0
-        self.starts_refused = 0
-        """Starts that were due but not sent because there is another master."""
-        self.emcy_sent = 0
 
     def set_errors(self, codes: Collection[int]) -> None:
         """Set the errors that are active now; the next steps announce the changes."""
@@ -118,7 +112,6 @@ class CanopenNode:
         if frame.flags & (EXTENDED | REMOTE | ERROR):
             return
         if frame.can_id == NMT_ID:
-            self.nmt_received += 1
             if self._master and not self.another_master:
                 log.warning(
                     "another NMT master on the bus (%s): no drive will be started from here",
@@ -139,10 +132,8 @@ class CanopenNode:
                 continue
             self._waiting[node] = now_ns + START_REPEAT_NS
             if self.another_master:
-                self.starts_refused += 1
                 log.warning("drive %d is not started: there is another NMT master", node)
             else:
-                self.starts_sent += 1
                 out.append(Frame(now_ns, NMT_ID, bytes((_START, node))))
 
     def _emergency(self, now_ns: Nanos, out: list[Frame]) -> None:
@@ -161,6 +152,5 @@ class CanopenNode:
             code = 0
             self._announced = frozenset()
         self._next_emcy_ns = now_ns + EMCY_INHIBIT_NS
-        self.emcy_sent += 1
         payload = _EMCY.pack(code, error_register(self._errors), bytes(5))
         out.append(Frame(now_ns, EMCY_ID, payload))

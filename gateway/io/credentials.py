@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import os
 import stat
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -66,8 +67,9 @@ def private_file(name: str, base: Path) -> tuple[Path, bytes]:
 
 def _content(path: Path, *, private: bool) -> bytes:
     try:
-        # Opened once, so that the file that is checked is the file that is read.
-        with open(path, "rb", opener=_opener) as file:
+        # Opened once, so that the file that is checked is the file that is read; O_NONBLOCK, so
+        # that opening a FIFO put in place of the file does not hang.
+        with open(path, "rb", opener=partial(_opened, os.O_NONBLOCK)) as file:
             about = os.fstat(file.fileno())
             problems = [] if stat.S_ISREG(about.st_mode) else ["is not a regular file"]
             if private and about.st_mode & 0o077:
@@ -84,9 +86,8 @@ def _content(path: Path, *, private: bool) -> bytes:
         raise ConfigError(str(path), [problem]) from None
 
 
-def _opener(path: str, flags: int) -> int:
-    # O_NONBLOCK, so that opening a FIFO put in place of the file does not hang.
-    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
+def _opened(more: int, path: str, flags: int) -> int:
+    return os.open(path, flags | more, 0o600)
 
 
 def trip_path(chosen: Authentication, base: Path) -> Path:
@@ -103,7 +104,7 @@ def next_trip(path: Path) -> int:
     """
     try:
         new = not path.exists()
-        with open(path, "r+b", opener=_counting) as file:
+        with open(path, "r+b", opener=partial(_opened, os.O_CREAT | os.O_NOFOLLOW)) as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             number = _after(path, file.read(64), new=new)
             # In place and of fixed width, so that a power cut leaves the old digits or the new.
@@ -133,10 +134,6 @@ def _after(path: Path, content: bytes, *, new: bool) -> int:
         problem = "the 24-bit trip counter is used up: make a new key, then delete this file"
         raise ConfigError(str(path), [problem])
     return number
-
-
-def _counting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
 
 
 def _sync_folder(folder: Path) -> None:

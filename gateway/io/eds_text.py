@@ -32,7 +32,6 @@ class EdsText:
     """Sections and keys, case-insensitive; `faults` lists what was left out."""
 
     def __init__(self, text: str) -> None:
-        """Parse the whole text."""
         self.faults: list[str] = []
         self.sections: dict[str, dict[str, Value]] = {}
         self.objects: list[int] = []
@@ -101,11 +100,9 @@ def text_of(data: bytes) -> tuple[str, list[str]]:
     try:
         unpacked = reader.decompress(data, MOST_BYTES + 1)
     except zlib.error as error:
-        msg = f"cannot be unpacked: {error}"
-        raise ValueError(msg) from None
+        raise ValueError(f"cannot be unpacked: {error}") from None
     if len(unpacked) > MOST_BYTES:
-        msg = f"is larger than {MOST_BYTES >> 20} MiB when unpacked"
-        raise ValueError(msg)
+        raise ValueError(f"is larger than {MOST_BYTES >> 20} MiB when unpacked")
     return decoded(unpacked), [] if reader.eof else ["the compressed file ends in the middle"]
 
 

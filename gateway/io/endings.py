@@ -52,7 +52,6 @@ class Note:
     """The first signal received, if any."""
 
     def __init__(self) -> None:
-        """Start without a signal."""
         self.ended: Ended | None = None
 
 

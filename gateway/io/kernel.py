@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import select
 import socket
 import struct
 import time
@@ -102,13 +101,3 @@ class Kernel:
         if code := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             raise OSError(code, os.strerror(code))
         return True
-
-    def wait(self, raw: socket.socket, timeout_ms: int) -> None:
-        """Wait until something can be read, at most `timeout_ms`."""
-        poll = select.poll()
-        poll.register(raw.fileno(), select.POLLIN)
-        poll.poll(timeout_ms)
-
-    def sleep(self, seconds: float) -> None:
-        """Wait without a socket."""
-        time.sleep(seconds)

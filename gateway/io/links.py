@@ -33,7 +33,7 @@ RESTART_MS: Final = 100
 _GETLINK, _NEWLINK, _REQUEST = 18, 16, 1
 _IFNAME, _EXT_MASK, _SKIP_STATS = 3, 29, 8
 _HEAD, _BODY, _ATTRIBUTE = struct.Struct("=IHHII"), struct.Struct("=BxHiII"), struct.Struct("=HH")
-_UP, _LOWER_UP = 1, 0x10000
+_UP = 1
 _STATES: Final = {
     "ERROR_ACTIVE": BusState.ACTIVE,
     "ERROR_WARNING": BusState.WARNING,
@@ -47,7 +47,6 @@ class Facts(NamedTuple):
 
     ifindex: int
     up: bool
-    carrier: bool
     kind: str
     """`can` has a controller; `vcan` and `vxcan` have none, and no bit rate."""
     state: BusState | None
@@ -89,7 +88,6 @@ def facts(answer: bytes) -> Facts | None:
     return Facts(
         int(message["index"]),
         bool(message["flags"] & _UP),
-        bool(message["flags"] & _LOWER_UP),
         kind or "",
         None if data is None else _STATES.get(str(data.get_attr("IFLA_CAN_STATE"))),
         attribute("IFLA_CAN_RESTART_MS"),

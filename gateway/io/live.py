@@ -63,7 +63,6 @@ class Stop:
     """A request to end, from a signal or from the program."""
 
     def __init__(self) -> None:
-        """Start without a request."""
         self.requested = False
         self.ended: Ended | None = None
         """The signal that requested the end; None if the program did."""
@@ -154,7 +153,7 @@ def _loop(
             gateway.note_timing(
                 timing.latency.quantile(0.99) // 1000, timing.lateness.quantile(0.99) // 1000
             )
-        block = transport.receive_block(0.0)
+        block = transport.receive()
         if status.kernel_drops != drops:
             integrity.note_lost(status.kernel_drops - drops)
             drops = status.kernel_drops

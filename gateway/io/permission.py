@@ -12,39 +12,32 @@ from gateway.settings.config import Config
 
 
 class Mode(StrEnum):
-    """Operating mode of a command."""
+    """How a command runs the gateway on a bus."""
 
     RUN = "run"
     """The gateway in service: its own messages; NMT start only as configured master."""
     LISTEN = "listen"
     """The gateway in service, only listening."""
-    REPLAY = "replay"
-    """A recorded log; there is no bus."""
     HIL = "hil"
     """The gateway on a test bench: it starts the simulated drives."""
-    SIM = "sim"
-    """The simulated drives: never a message of the gateway, never NMT."""
 
 
 def allowed(mode: Mode, config: Config, codec: Codec) -> Allow:
     """The allow-list of a mode, for the channels of `[bus] send_on`."""
-    if mode in (Mode.LISTEN, Mode.REPLAY):
+    if mode is Mode.LISTEN:
         return Allow({})
-    channels = config.bus.send_on
-    if mode is Mode.SIM:
-        return drives_only(codec, config.nodes, channels)
     return Allow.from_codec(
         codec,
         config.nodes,
         nmt_master=mode is Mode.HIL or config.canopen.nmt_master,
         authenticated=config.authentication is not None,
         creep=config.adhesion.send_creep,
-        channels=channels,
+        channels=config.bus.send_on,
     )
 
 
-def drives_only(codec: Codec, nodes: Iterable[int], channels: Iterable[str] | None = None) -> Allow:
-    """Allow the frames of these drives: messages, heartbeat, EMCY and answers of SDO servers."""
+def drives_only(codec: Codec, nodes: Iterable[int]) -> Allow:
+    """The allow-list of simulated drives: messages, heartbeat, EMCY and answers of SDO servers."""
     nodes = frozenset(nodes)
     lengths = {
         spec.key: (spec.length, spec.is_fd)
@@ -54,4 +47,4 @@ def drives_only(codec: Codec, nodes: Iterable[int], channels: Iterable[str] | No
     for node in nodes:
         lengths |= {HEARTBEAT_BASE + node: (1, False)}
         lengths |= {base + node: (8, False) for base in (EMCY_BASE, 0x580)}
-    return Allow(lengths, channels=channels)
+    return Allow(lengths)

@@ -15,13 +15,7 @@ from dbc.frame import FD, SECOND, Frame, Nanos
 from dbc.frames import Block, block_of
 from dbc.logs.python_can import from_message, to_message
 from gateway.io import quick_start as leanstart
-from gateway.io.transport import (
-    RETRY_NS,
-    LinkState,
-    SendResult,
-    Status,
-    monotonic_stamp,
-)
+from gateway.io.transport import RETRY_NS, LinkState, SendResult, Status, monotonic_stamp
 from gateway.io.wire import pack
 from gateway.settings.config import ConfigError
 
@@ -30,7 +24,6 @@ with leanstart.absent("asammdf"):
 
 BATCH = 4096
 """Most frames read in one call."""
-_PAUSE_S = 0.001
 _ECHOING = ("udp_multicast",)
 """Interfaces that receive their own frames even without `receive_own_messages`."""
 
@@ -89,22 +82,12 @@ class PythonCan:
             except (can.CanError, OSError) as error:
                 self.status.note = f"{self.channel}: {error}"
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self) -> Block:
         """See Transport."""
         now = self._monotonic_ns()
-        deadline = now + int(timeout_s * SECOND)
-        while True:
-            if self._bus is None and now >= self._retry_ns:
-                self._reconnect(now)
-            frames = self._drain()
-            now = self._monotonic_ns()
-            if frames or now >= deadline:
-                return frames
-            time.sleep(_PAUSE_S)
-
-    def receive_block(self, timeout_s: float) -> Block:
-        """See Transport."""
-        return block_of(self.receive(timeout_s))
+        if self._bus is None and now >= self._retry_ns:
+            self._reconnect(now)
+        return block_of(self._drain())
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport."""

@@ -95,8 +95,7 @@ class Ticker:
         Raises ValueError for a period that is not positive.
         """
         if period_ns <= 0:
-            msg = f"period_ns must be positive, not {period_ns}"
-            raise ValueError(msg)
+            raise ValueError(f"period_ns must be positive, not {period_ns}")
         self.period_ns = period_ns
         self.clock = clock
         self._sleep = sleep

@@ -116,11 +116,10 @@ class OneChannel:
             others.update(block.names)
             if self._wanted is None:
                 other = block.names[block.channel[np.argmin(mine)]]
-                msg = (
+                raise BadLogError(
                     f"the log has several channels ({self.name}, {other}, ..); "
                     "name one with --log-channel"
                 )
-                raise BadLogError(msg)
             if mine.any():
                 yield block.pick(mine)
         if others and not found:
@@ -128,12 +127,7 @@ class OneChannel:
             raise BadLogError(msg)
 
 
-def replay(
-    blocks: Iterable[Block],
-    make: Make,
-    period_ns: Nanos,
-    sink: Sink | Briefly,
-) -> Replayed:
+def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink | Briefly) -> Replayed:
     """Run the core over a log. Ticks are t_first + k * period; tick k takes frames with t <= t_k.
 
     A gateway that `make` has resumed from a start record goes on with its own next tick.
@@ -145,8 +139,7 @@ def replay(
     stream = iter(blocks)
     block = next(stream, EMPTY)
     if not block.size:
-        msg = "no frame in the log (or none on this channel)"
-        raise BadLogError(msg)
+        raise BadLogError("no frame in the log (or none on this channel)")
     first = block.frame(0)
     gateway = make(first.t_ns)
     clock = LogTime(first.t_ns, period_ns)
@@ -154,11 +147,10 @@ def replay(
     if gateway.begun:
         now = gateway.now_ns + period_ns
         if first.t_ns < gateway.now_ns:
-            msg = (
+            raise BadLogError(
                 f"the log begins at {first.t_ns / 1e9:.3f} s, before the start record's "
                 f"{gateway.now_ns / 1e9:.3f} s: they do not belong together"
             )
-            raise BadLogError(msg)
 
     def step(frames: Block) -> None:
         nonlocal ticks
@@ -248,14 +240,11 @@ def open_log(path: Path, strict: bool, line: str = "") -> Log:
     file: a FIFO or a device may never end.
     """
     if not path.exists():
-        msg = f"{path}: no such file"
-        raise BadLogError(msg)
+        raise BadLogError(f"{path}: no such file")
     if path.is_dir():
-        msg = f"{path}: a folder, not a log"
-        raise BadLogError(msg)
+        raise BadLogError(f"{path}: a folder, not a log")
     if not path.is_file():
-        msg = f"{path}: a FIFO, device or socket, not a log; write a file first"
-        raise BadLogError(msg)
+        raise BadLogError(f"{path}: a FIFO, device or socket, not a log; write a file first")
     if ending(path) in OTHERS:
         leanstart.python_can()
     reader = open_reader(path, strict=strict, line=line)

@@ -11,6 +11,7 @@ import binascii
 import hashlib
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -112,8 +113,7 @@ def check_files(config: Config) -> None:
 def check_digest(config: Config, digest: str) -> None:
     """Raises ConfigError unless this is the digest of the DBC that was signed."""
     if digest != config.sealed["dbc"]:
-        problem = "was changed while it was read; start again"
-        raise ConfigError(str(config.dbc_path), [problem])
+        raise ConfigError(str(config.dbc_path), ["was changed while it was read; start again"])
 
 
 def make_keys(private: Path, public: Path) -> None:
@@ -130,13 +130,9 @@ def make_keys(private: Path, public: Path) -> None:
 
 def write_private(path: Path, content: bytes) -> None:
     """Write a new file that only its owner may read. Raises OSError if the file exists."""
-    with open(path, "xb", opener=_private) as file:
+    with open(path, "xb", opener=partial(os.open, mode=0o600)) as file:
         file.write(content)
         os.fsync(file.fileno())
-
-
-def _private(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_CLOEXEC, 0o600)
 
 
 def _digest(path: Path) -> str:

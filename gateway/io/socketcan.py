@@ -21,12 +21,7 @@ from dbc.frames import EMPTY, Block
 from gateway.io.batch import Batch
 from gateway.io.kernel import Kernel
 from gateway.io.links import Links
-from gateway.io.transport import (
-    RETRY_NS,
-    LinkState,
-    SendResult,
-    Status,
-)
+from gateway.io.transport import RETRY_NS, LinkState, SendResult, Status
 from gateway.io.wire import FD_SIZE, BusState, pack
 from gateway.settings.config import ConfigError
 
@@ -108,28 +103,18 @@ class SocketCan:
             self._raw = None
         self.status.state = LinkState.ABSENT
 
-    def receive(self, timeout_s: float) -> list[Frame]:
-        """See Transport."""
-        return list(self.receive_block(timeout_s).frames())
-
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive(self) -> Block:
         """See Transport."""
         now = self._kernel.monotonic_ns()
         self._tend(now)
         if self._raw is None:
-            if timeout_s > 0:
-                self._kernel.sleep(min(timeout_s, RETRY_NS / SECOND))
             return EMPTY
         self._held = self._held + 1 if self._newest and self._kernel.queued(self._raw) else 0
         if self._held == STALLED_LOOKS:
             self.status.note = (
                 f"{self.channel}: sent frames are still queued; no new ones are added"
             )
-        block = self._drain(self._raw, now)
-        if not block.size and timeout_s > 0 and self._raw is not None:
-            self._kernel.wait(self._raw, max(int(timeout_s * 1000), 1))
-            block = self._drain(self._raw, now)
-        return block
+        return self._drain(self._raw, now)
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport. Nothing is queued while down or bus-off: it would be stale when sent."""

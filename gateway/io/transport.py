@@ -101,7 +101,7 @@ class Status:
 
 
 class Transport(Protocol):
-    """A bus that never raises, never blocks beyond the given time and never retries."""
+    """A bus that never raises, never blocks and never retries."""
 
     status: Status
 
@@ -111,14 +111,11 @@ class Transport(Protocol):
         Raises ConfigError only for what no waiting cures: an unknown interface or option.
         """
 
-    def receive(self, timeout_s: float) -> list[Frame]:
-        """All frames that are waiting, oldest first; if there are none, waits up to `timeout_s`.
+    def receive(self) -> Block:
+        """All frames that are waiting, oldest first.
 
         `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
         """
-
-    def receive_block(self, timeout_s: float) -> Block:
-        """The same frames as arrays, as the core's loop needs them."""
 
     def send(self, frame: Frame) -> SendResult:
         """Hand one frame over without blocking."""
@@ -155,8 +152,7 @@ class Allow:
         self._lengths = dict(lengths)
         self._starts = frozenset(bytes((1, node)) for node in started)
         if NMT_ID in self._lengths or bytes((1, 0)) in self._starts:
-            msg = "NMT is allowed by node number only, and never to node 0 (broadcast)"
-            raise ValueError(msg)
+            raise ValueError("NMT is allowed by node number only, and never to node 0 (broadcast)")
 
     @classmethod
     def from_codec(
@@ -226,13 +222,9 @@ class Guarded:
         """See Transport."""
         self._inner.open()
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self) -> Block:
         """See Transport."""
-        return self._inner.receive(timeout_s)
-
-    def receive_block(self, timeout_s: float) -> Block:
-        """See Transport."""
-        return self._inner.receive_block(timeout_s)
+        return self._inner.receive()
 
     def send(self, frame: Frame) -> SendResult:
         """Send if allowed, else REFUSED."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
 from datetime import timedelta
 from pathlib import Path
 from typing import Final
@@ -13,23 +12,11 @@ import numpy as np
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame, Nanos
 from dbc.frames import Block
-from dbc.logs.blf_objects import (
-    BASE,
-    CLASSIC,
-    CLASSIC_FIELDS,
-    CONTAINER,
-    CONTAINER_KIND,
-    ERROR_EXT,
-    ERROR_EXT_KIND,
-    FD_KIND,
-    FD_MESSAGE,
-    FILE,
-    SENT_FLAG,
-)
+from dbc.logs import blf_objects as layout
 from dbc.logs.format import DLC_OF
 from dbc.logs.times import EPOCH
 from gateway.logfiles.channels import ChannelNumbers
-from gateway.logfiles.frames import without
+from gateway.logfiles.frames import Sink, without
 
 _HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000
 _STAMP: Final = struct.Struct("<LHHQ")
@@ -40,15 +27,11 @@ _MOST_CHANNEL: Final = 0xFFFE
 _LOBJ, _AT_ONCE = int.from_bytes(b"LOBJ", "little"), 2048
 
 
-class BlfFile:
+class BlfFile(Sink):
     """A BLF file. Its start time is that of the first frame, cut to milliseconds, in UTC."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
-        self.reduced: Counter[str] = Counter()
-        """Frames of which a property is not kept, by property."""
+        super().__init__()
         self._channels = ChannelNumbers(_MOST_CHANNEL)
         self._file = path.open("wb")
         self._file.write(bytes(_HEADER_BYTES))
@@ -80,7 +63,7 @@ class BlfFile:
 
     def _classic(self, block: Block) -> bytes:
         """Objects of classic data and remote frames."""
-        objects = np.zeros(block.size, CLASSIC_FIELDS)
+        objects = np.zeros(block.size, layout.CLASSIC_FIELDS)
         objects["signature"], objects["header"], objects["version"] = _LOBJ, 32, 1
         objects["size"], objects["kind"] = objects.itemsize, _MESSAGE
         objects["flags"] = _NANOSECONDS
@@ -89,7 +72,7 @@ class BlfFile:
         objects["channel"] = numbers[block.channel]
         remote = block.flags & REMOTE != 0
         sent = block.flags & TX != 0
-        objects["bits"] = np.where(remote, _REMOTE_FLAG, 0) | np.where(sent, SENT_FLAG, 0)
+        objects["bits"] = np.where(remote, _REMOTE_FLAG, 0) | np.where(sent, layout.SENT_FLAG, 0)
         dlc = np.where(remote, block.dlc.clip(min=0), block.length)
         objects["dlc"] = np.where(~remote & (block.dlc >= 0), block.dlc, dlc)
         long = np.where(block.flags & EXTENDED, np.uint32(_LONG_ID), np.uint32(0))
@@ -101,22 +84,24 @@ class BlfFile:
         channel = self._channels.number(frame.channel) + 1
         flags, data = frame.flags, frame.data
         can_id = frame.can_id | (_LONG_ID if flags & EXTENDED else 0)
-        sent = SENT_FLAG if flags & TX else 0
+        sent = layout.SENT_FLAG if flags & TX else 0
         dlc = frame.dlc if frame.dlc >= 0 else len(data)
         if flags & ERROR:
-            kind = ERROR_EXT_KIND
-            body = ERROR_EXT.pack(channel, 0, 0, 0, 0, len(data), 0, can_id, 0, data)
+            kind = layout.ERROR_EXT_KIND
+            body = layout.ERROR_EXT.pack(channel, 0, 0, 0, 0, len(data), 0, can_id, 0, data)
         elif flags & FD:
-            kind = FD_KIND
+            kind = layout.FD_KIND
             bits = 1 | (2 if flags & BRS else 0) | (4 if flags & ESI else 0)
             size = len(data)
-            body = FD_MESSAGE.pack(channel, sent, DLC_OF[size], can_id, 0, 0, bits, size, data)
+            body = layout.FD_MESSAGE.pack(
+                channel, sent, DLC_OF[size], can_id, 0, 0, bits, size, data
+            )
         else:
             kind = _MESSAGE
             remote = _REMOTE_FLAG if flags & REMOTE else 0
-            body = CLASSIC.pack(channel, remote | sent, max(dlc, 0), can_id, data)
-        size = BASE.size + _STAMP.size + len(body)
-        head = BASE.pack(b"LOBJ", BASE.size + _STAMP.size, 1, size, kind)
+            body = layout.CLASSIC.pack(channel, remote | sent, max(dlc, 0), can_id, data)
+        size = layout.BASE.size + _STAMP.size + len(body)
+        head = layout.BASE.pack(b"LOBJ", layout.BASE.size + _STAMP.size, 1, size, kind)
         stamp = _STAMP.pack(_NANOSECONDS, 0, 0, frame.t_ns - self._start_ns)
         return head + stamp + body + bytes(len(body) % 4)
 
@@ -124,11 +109,11 @@ class BlfFile:
         if not self._held:
             return
         data, self._held = bytes(self._held), bytearray()
-        body = CONTAINER.pack(2, len(data)) + zlib.compress(data)
-        size = BASE.size + len(body)
-        head = BASE.pack(b"LOBJ", BASE.size, 1, size, CONTAINER_KIND)
+        body = layout.CONTAINER.pack(2, len(data)) + zlib.compress(data)
+        size = layout.BASE.size + len(body)
+        head = layout.BASE.pack(b"LOBJ", layout.BASE.size, 1, size, layout.CONTAINER_KIND)
         self._file.write(head + body + bytes(size % 4))
-        self._unpacked += BASE.size + CONTAINER.size + len(data)
+        self._unpacked += layout.BASE.size + layout.CONTAINER.size + len(data)
 
     def close(self) -> None:
         """Complete the file and close it."""
@@ -139,7 +124,7 @@ class BlfFile:
             b"LOGG", _HEADER_BYTES, 5, 0, 0, 0, 2, 6, 8, 1, size, self._unpacked, self.written, 0,
         )  # fmt: skip
         times = (*_system_time(self._start_ns), *_system_time(self._last_ns))
-        self._file.write(FILE.pack(*fields, *times))
+        self._file.write(layout.FILE.pack(*fields, *times))
         self._file.close()
 
 

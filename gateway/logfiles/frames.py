@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,19 +23,24 @@ GROUP: Final = 1 << 17
 """Rows of a Parquet row group, which is kept in memory."""
 
 
-class Sink(Protocol):
-    """A file being written."""
+class Sink:
+    """Base of the files that are written, with their counts."""
 
-    written: int
-    """Number of frames written."""
-    left_out: Counter[str]
-    """Frames that were not written, by cause."""
+    def __init__(self) -> None:
+        self.written = 0
+        """Number of frames written."""
+        self.left_out: Counter[str] = Counter()
+        """Frames that were not written, by cause."""
+        self.reduced: Counter[str] = Counter()
+        """Written frames of which a property is not kept, by property."""
 
     def add(self, block: Block) -> None:
         """Append frames."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """Complete the file and close it."""
+        raise NotImplementedError
 
 
 def without(block: Block, out: NDArray[np.bool_], counts: Counter[str], cause: str) -> Block:
@@ -51,13 +56,11 @@ def interface(channel: str) -> str:
     return f"can{channel}" if channel.isdecimal() else channel
 
 
-class Candump:
+class Candump(Sink):
     """`candump -L` text."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
+        super().__init__()
         self._writer = Writer(path)
 
     def add(self, block: Block) -> None:
@@ -88,15 +91,14 @@ _ADDED: Final = frozenset({"tx"})
 """Columns that files of earlier versions lack."""
 
 
-class ParquetRows:
+class ParquetRows(Sink):
     """Base of both kinds of Parquet files: rows are kept until they fill a row group."""
 
     def __init__(self, path: Path, schema: Any, group: int) -> None:
         """Create the file. group: rows of a row group."""
         import pyarrow.parquet as pq
 
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
+        super().__init__()
         self._schema, self._group = schema, group
         self._held: list[Any] = []
         self._rows = 0
@@ -128,7 +130,6 @@ class ParquetFrames(ParquetRows):
     """Parquet with a row per frame, lossless: `read_parquet` returns the same frames."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         import pyarrow as pa
 
         fields = [
@@ -185,8 +186,7 @@ def read_parquet(path: Path) -> Iterator[Frame]:
             for batch in file.iter_batches(1 << 13):
                 yield from _frames(batch)
     except pa.ArrowException as error:
-        text = " ".join(str(error).split())
-        raise LogError(str(path), 0, f"cannot be read: {text}") from error
+        raise LogError(str(path), 0, f"cannot be read: {' '.join(str(error).split())}") from error
 
 
 def _frames(batch: Any) -> Iterator[Frame]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from bisect import bisect_left, bisect_right
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from operator import itemgetter
@@ -22,7 +21,7 @@ from dbc.frames import Block
 from dbc.spec import MessageSpec
 from dbc.text import printable
 from gateway.logfiles.channels import UNNAMED
-from gateway.logfiles.frames import FLAGS, interface, without
+from gateway.logfiles.frames import FLAGS, Sink, interface, without
 from gateway.logfiles.signal_files import MARKS, Comments, decimal, labels_of
 from gateway.logfiles.signals import Decoder, is_exact
 
@@ -47,8 +46,11 @@ class _Topic(NamedTuple):
     """Places of the signals whose integers a float cannot hold."""
 
 
-class McapFile(AbstractContextManager["McapFile"]):
-    """Frames on `/can/frames`, and with a decoder their signals. Messages are in time order."""
+class McapFile(Sink, AbstractContextManager["McapFile"]):
+    """Frames on `/can/frames`, and with a decoder their signals. Messages are in time order.
+
+    `reduced` counts frames that the DBC does not decode, under the key `signals`.
+    """
 
     def __init__(
         self, path: Path, decoder: Decoder | None = None, comments: Comments | None = None
@@ -56,10 +58,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         """Create the file. Raises OSError."""
         from mcap.writer import Writer
 
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
-        self.reduced: Counter[str] = Counter()
-        """Frames that the DBC does not decode, under the key `signals`."""
+        super().__init__()
         self._decoder, self._comments = decoder, comments or {}
         self._file = path.open("wb")
         self._writer = Writer(self._file)

@@ -7,7 +7,6 @@ Times count from the first frame's full second, in float seconds: exact to the n
 from __future__ import annotations
 
 import contextlib
-from collections import Counter
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +19,7 @@ from dbc.frames import Block
 from dbc.logs.times import EPOCH
 from dbc.spec import MessageSpec, SignalSpec
 from gateway.logfiles.channels import ChannelNumbers
+from gateway.logfiles.frames import Sink
 from gateway.logfiles.signal_files import Comments, labels_of
 from gateway.logfiles.signals import Decoded, Decoder, is_exact
 
@@ -29,14 +29,13 @@ _MOST_CHANNEL: Final = 0xFF
 """Highest channel number: ASAM's BusChannel has 8 bits."""
 
 
-class _Mf4:
+class _Mf4(Sink):
     """Base of both kinds of MF4: the file, its start time, groups that grow."""
 
     def __init__(self, path: Path) -> None:
         from asammdf import MDF
 
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
+        super().__init__()
         self._path = path
         self._mdf = MDF(version="4.10")
         self._base_ns: int | None = None
@@ -165,8 +164,6 @@ class Mf4Frames(_Mf4):
     def __init__(self, path: Path) -> None:
         """Prepare the file, which is at `path` only after `close`."""
         super().__init__(path)
-        self.reduced: Counter[str] = Counter()
-        """Frames of which a property is not kept, by property."""
         self._channels = ChannelNumbers(_MOST_CHANNEL)
 
     def add(self, block: Block) -> None:

@@ -128,8 +128,7 @@ class _Log:
         self.can_id = codec.by_name[SENT_IN[wanted.kind]].can_id
         first = next(iter(self._read()), None)
         if first is None:
-            msg = f"{path}: no frame in the log (or none on this channel)"
-            raise BadLogError(msg)
+            raise BadLogError(f"{path}: no frame in the log (or none on this channel)")
         self.first_ns = first.t_ns.item(0)
 
     def new(self, start_ns: Nanos) -> Gateway:
@@ -158,17 +157,15 @@ class _Log:
         done = replay(self._blocks(), self.new, self.period_ns, sink)
         at_s, span_s = self._wanted.at_s, (done.last_ns - done.first_ns) / SECOND
         if at_s > span_s + NEAR_NS / SECOND:
-            msg = f"{at_s:g} s is outside of the log, which has {span_s:.3f} s"
-            raise BadLogError(msg)
+            raise BadLogError(f"{at_s:g} s is outside of the log, which has {span_s:.3f} s")
         at_ns = done.first_ns + round(at_s * SECOND)
         found.sort(key=lambda change: abs(change.now_ns - at_ns))
         if abs(found[0].now_ns - at_ns) > NEAR_NS:
             times = sorted((change.now_ns - done.first_ns) / SECOND for change in found[:SHOWN])
-            msg = (
+            raise BadLogError(
                 f"{self._wanted.name} does not change within {NEAR_NS / SECOND} s of {at_s:g} s; "
                 f"the nearest changes are at {', '.join(f'{t_s:.3f}' for t_s in times)} s"
             )
-            raise BadLogError(msg)
         return found[0], done.frames
 
     def tail(self, change: Change, before_ns: Nanos) -> tuple[State, Block, Frame]:
@@ -196,8 +193,7 @@ class _Log:
             msg = "the flag has this state from the first tick on: there is no change to test"
             raise BadLogError(msg)
         if not sent:
-            msg = "the log ends before a frame with the flag is sent"
-            raise BadLogError(msg)
+            raise BadLogError("the log ends before a frame with the flag is sent")
         frames = _between(reduce(join, kept), start.state.now_ns, sent[0].t_ns, self.period_ns)
         return start.state, frames, sent[0]
 

@@ -50,8 +50,7 @@ def write_test(
         try:
             writer.write_block(shrunk.frames)
         except NotWritableError as error:
-            msg = f"a frame that the flag needs {error}"
-            raise BadLogError(msg) from error
+            raise BadLogError(f"a frame that the flag needs {error}") from error
     with whole(folder / START) as part:
         part.write_bytes(start_bytes(shrunk.gateway, shrunk.start))
     sent = shrunk.flag_frame

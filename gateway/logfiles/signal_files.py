@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
 from typing import Final, TextIO, cast
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from dbc.frame import SECOND
 from dbc.frames import Block
 from dbc.spec import MessageSpec, SignalSpec
-from gateway.logfiles.frames import ParquetRows
+from gateway.logfiles.frames import ParquetRows, Sink
 from gateway.logfiles.signals import Decoded, Decoder, columns, is_exact
 
 _LARGEST: Final = 2.0**64
@@ -104,13 +103,12 @@ def _column(done: Decoded, message: MessageSpec, place: int) -> NDArray[np.float
     return np.where(done.message == message.index, done.value[:, place], np.nan)
 
 
-class CsvSignals:
+class CsvSignals(Sink):
     """The wide table as CSV: `t_s` with nine decimals, units in the header, empty: no value."""
 
     def __init__(self, path: Path, decoder: Decoder, messages: Collection[MessageSpec]) -> None:
         """Create the file, compressed if it ends in `.gz`. messages: those that get columns."""
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
+        super().__init__()
         self._decoder = decoder
         head = ["t_s", "channel", "message"]
         self._first: dict[int, int] = {}

@@ -61,7 +61,6 @@ class Decoder:
     """Decodes blocks; `counts` (Match -> frames) and `cells` (Validity -> values) sum over all."""
 
     def __init__(self, codec: Codec) -> None:
-        """Start with all counts at zero."""
         self.codec = codec
         self.counts: Counter[Match] = Counter()
         self.cells: Counter[Validity] = Counter()

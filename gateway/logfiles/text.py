@@ -8,7 +8,6 @@ python-can's write the time of export, in the local time zone, instead of the lo
 from __future__ import annotations
 
 from binascii import b2a_base64
-from collections import Counter
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -23,7 +22,7 @@ from dbc.logs.format import DLC_OF
 from dbc.logs.times import DAY_NS, EPOCH
 from dbc.logs.trc import EPOCH_DAYS
 from gateway.logfiles.channels import ChannelNumbers
-from gateway.logfiles.frames import without
+from gateway.logfiles.frames import Sink, without
 
 _DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 _MONTHS: Final = (
@@ -49,7 +48,7 @@ class Form(NamedTuple):
     has_data: bool = True
 
 
-class TextFile:
+class TextFile(Sink):
     """Base of the three formats: a file, times from the first frame, counts."""
 
     not_held = 0
@@ -63,11 +62,8 @@ class TextFile:
     """Whether times count from the first frame, without a sign."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
-        self.written = self._numbered = 0
-        self.left_out: Counter[str] = Counter()
-        self.reduced: Counter[str] = Counter()
-        """Frames of which a property is not kept, by property."""
+        super().__init__()
+        self._numbered = 0
         self._first_ns: Nanos | None = None
         self._channels = ChannelNumbers()
         self._forms: dict[tuple[int, int], Form] = {}

@@ -115,8 +115,7 @@ def _sum(data: Measured, motor: Motor) -> Iterator[Finding]:
     big &= np.isfinite(data.phase_sum)
     if np.count_nonzero(big) < LEAST:
         yield Finding(
-            None,
-            "the sum of the phases cannot be checked: the current stays below 0.1 I_rated",
+            None, "the sum of the phases cannot be checked: the current stays below 0.1 I_rated"
         )
         return
     share = float(np.median(np.abs(data.phase_sum[big]) / np.abs(data.current[big])))

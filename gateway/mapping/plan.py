@@ -277,10 +277,7 @@ def _scale(name: str, parts: tuple[str, ...], resolution: Mapping[str, float]) -
 
 
 def _spec(kind: str, node: int, cycle: Nanos, scales: Mapping[str, float]) -> MessageSpec:
-    header = (
-        SignalSpec("Crc", 0, 8, raw_max=255),
-        SignalSpec("Counter", 8, 4, raw_max=15),
-    )
+    header = (SignalSpec("Crc", 0, 8, raw_max=255), SignalSpec("Counter", 8, 4, raw_max=15))
     values = tuple(
         SignalSpec(
             name, 16 + 32 * k, 32, is_signed=True, scale=scales[name], raw_min=_LOWEST + 1,

@@ -107,11 +107,7 @@ class Feed:
     """The source, the requests of the viewers, and the newest picture."""
 
     def __init__(
-        self,
-        source: Source,
-        *,
-        waits: bool = False,
-        clock: Callable[[], float] = time.monotonic,
+        self, source: Source, *, waits: bool = False, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """waits: a log does not advance while there is no viewer."""
         self.picture: Picture | None = None

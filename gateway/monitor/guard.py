@@ -39,12 +39,7 @@ _RAW: Final = tuple((name.encode(), value.encode()) for name, value in HEADERS)
 class Guard:
     """ASGI middleware: passes on requests that `Access` allows, and counts the others by cause."""
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        access: Access,
-        counts: Counter[str],
-    ) -> None:
+    def __init__(self, app: ASGIApp, access: Access, counts: Counter[str]) -> None:
         """counts: of rejected requests."""
         self._app = app
         self._access = access

@@ -62,8 +62,7 @@ class LogSource:
                 first = block.t_ns.item(0) if first is None else first
                 latest = block.t_ns.item(-1)
         if first is None:
-            msg = "no frame in the log (or none on this channel)"
-            raise BadLogError(msg)
+            raise BadLogError("no frame in the log (or none on this channel)")
         self._first_ns: Nanos = first
         self._last_ns: Nanos = max(first, latest)
         self._target_ns: Nanos = first
@@ -81,11 +80,6 @@ class LogSource:
     def behind(self) -> bool:
         """See Source."""
         return self._at_ns < self._target_ns
-
-    @property
-    def ended(self) -> bool:
-        """Whether the last frame is reached."""
-        return self._at_ns >= self._last_ns
 
     def advance(self, wall_dt_s: float) -> Snapshot:
         """See Source. If it cannot keep up with the speed, it plays as fast as it can."""

@@ -81,7 +81,7 @@ class Reader:
     def _run(self) -> None:
         # Waiting for each frame would wake the thread thousands of times a second.
         while not self._stop.wait(READ_S):
-            block = self._transport.receive_block(0.0)
+            block = self._transport.receive()
             with self._lock:
                 self._now = self._clock()
                 if block.size:
@@ -115,6 +115,9 @@ class Reader:
 class LiveSource:
     """A bus as a source. It never sends: its transport is made with an empty allow-list."""
 
+    span_s = None
+    behind = False
+
     def __init__(
         self,
         transport: Transport,
@@ -130,16 +133,6 @@ class LiveSource:
         self._reader = Reader(transport, clock)
         self._observer = observer
         self._shown: Snapshot | None = None
-
-    @property
-    def span_s(self) -> None:
-        """None: a bus has no seek."""
-        return
-
-    @property
-    def behind(self) -> bool:
-        """False: a bus has no seek."""
-        return False
 
     def advance(self, wall_dt_s: float) -> Snapshot:  # noqa: ARG002 - the bus has its own time
         """See Source. While paused, frames are still read; only the snapshot stays the same."""

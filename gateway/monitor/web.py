@@ -165,9 +165,6 @@ def make_app(
     async def index(_: Request) -> Response:
         return FileResponse(STATIC / "index.html", headers={"cache-control": "no-store"})
 
-    async def look(socket: WebSocket) -> None:
-        await viewers.serve(socket)
-
     async def metrics(_: Request) -> Response:
         from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
@@ -187,7 +184,7 @@ def make_app(
         routes.append(Route("/metrics", metrics, methods=["GET"]))
     few = Starlette(routes=routes, lifespan=playing)
     if page:
-        routes += [Route("/", index, methods=["GET"]), WebSocketRoute("/look", look)]
+        routes += [Route("/", index, methods=["GET"]), WebSocketRoute("/look", viewers.serve)]
         whole = Starlette(routes=routes, lifespan=playing)
         whole.mount("/static", Files(directory=STATIC))
     else:

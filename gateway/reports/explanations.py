@@ -11,20 +11,14 @@ from gateway.reports.record import camel
 from gateway.reports.words import REASONS
 
 
-class Advice(NamedTuple):
-    """Meaning of a code; remedy: what to check or do; example: a possible cause."""
-
-    meaning: str
-    remedy: str
-    example: str
-
-
 class Explained(NamedTuple):
-    """One code. kind: name of its signal."""
+    """One code. kind: name of its signal; remedy: what to check or do; example: possible cause."""
 
     kind: str
     code: IntEnum
-    advice: Advice
+    meaning: str
+    remedy: str
+    example: str
 
     @property
     def name(self) -> str:
@@ -95,11 +89,7 @@ _HEALTH: Final = {
         "wait, and let the rotor turn: at standstill its angle is not observable",
         "the first tenth of a second after a start",
     ),
-    Health.TRACKING: (
-        "speed and load are estimated from fresh samples",
-        "nothing",
-        "driving",
-    ),
+    Health.TRACKING: ("speed and load are estimated from fresh samples", "nothing", "driving"),
     Health.PREDICTING: (
         "no fresh sample: the last estimate is extrapolated for a short time",
         "look for lost frames",
@@ -166,9 +156,7 @@ _KINDS: Final[tuple[tuple[str, Mapping[Any, tuple[str, str, str]]], ...]] = (
     ("Health", _HEALTH), ("FaultClass", _FAULTS),
 )  # fmt: skip
 ALL: Final = tuple(
-    Explained(kind, code, Advice(*advice))
-    for kind, codes in _KINDS
-    for code, advice in codes.items()
+    Explained(kind, code, *advice) for kind, codes in _KINDS for code, advice in codes.items()
 )
 """All codes, by kind, then by number."""
 
@@ -182,9 +170,9 @@ def named(word: str) -> list[Explained]:
 def text(found: Iterable[Explained]) -> str:
     """The explanations as text for a terminal."""
     return "\n\n".join(
-        f"{one.kind} {int(one.code)} {one.name}: {one.advice.meaning}\n"
-        f"  do       {one.advice.remedy}\n"
-        f"  example  {one.advice.example}"
+        f"{one.kind} {int(one.code)} {one.name}: {one.meaning}\n"
+        f"  do       {one.remedy}\n"
+        f"  example  {one.example}"
         for one in found
     )
 
@@ -196,7 +184,7 @@ def tables() -> str:
         lines += [f"## {kind}", "", "| code | name | meaning | what to do | example |",
                   "|---|---|---|---|---|"]  # fmt: skip
         lines += [
-            f"| {int(one.code)} | `{one.name}` | {' | '.join(one.advice)} |"
+            f"| {int(one.code)} | `{one.name}` | {' | '.join(one[2:])} |"
             for one in ALL if one.kind == kind
         ]  # fmt: skip
         lines.append("")

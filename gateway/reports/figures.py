@@ -267,11 +267,7 @@ def load_panel(axis: Axes, trace: Trace, node: int, truth: Truth | None) -> None
 
 
 def loads(
-    path: Path,
-    trace: Trace,
-    title: str,
-    truth: Truth | None = None,
-    spans: Sequence[Span] = (),
+    path: Path, trace: Trace, title: str, truth: Truth | None = None, spans: Sequence[Span] = ()
 ) -> None:
     """Write a figure: load and band of every drive, truth if known, adhesion flags as strips."""
     nodes, end_s = trace.nodes, trace.span_s

@@ -71,7 +71,6 @@ class Anchors:
     """Anchors of headings, formed as Markdown viewers form them."""
 
     def __init__(self) -> None:
-        """Start without anchors."""
         self._given: dict[str, int] = {}
 
     def anchor_of(self, heading: str) -> str:

@@ -164,7 +164,6 @@ class Changes:
     """Changes of the flags of the drives, their first values included."""
 
     def __init__(self) -> None:
-        """Start without changes."""
         self.changes: list[Change] = []
         self._last: dict[int, tuple[Flag, Flag]] = {}
         self._before: NDArray[np.int64] | None = None

@@ -23,9 +23,9 @@ from gateway.reports.intervals import Intervals
 from gateway.reports.page import literal
 from gateway.reports.provenance import as_toml, program, sha256
 from gateway.reports.record import Recorder
-from gateway.reports.run_report import Run, Timed
+from gateway.reports.run_report import Run
 from gateway.reports.ticks import MOST, TickLog, Use
-from gateway.reports.timing import tables
+from gateway.reports.timing import Timed, tables, timed
 from gateway.reports.trace import Trace
 from gateway.reports.truth import Truth, rows
 from gateway.settings import calibration
@@ -92,9 +92,8 @@ class Reporting(AbstractContextManager["Reporting"]):
 
     def set_timing(self, seen: LiveSnapshot, period_ns: int) -> None:
         """Keep the histograms of a run in real time. Raises OSError."""
-        stages = seen.timing.stage_rows()
-        tables(self.folder, stages, period_ns)
-        self.timed = Timed(stages, period_ns, seen.tick + 1, seen.missed, "timing")
+        self.timed = timed(seen, period_ns)
+        tables(self.folder, self.timed)
 
     def read_truth(self, path: Path) -> None:
         """Add the rows of truth that the process of the drives has written, if there are any.
@@ -141,10 +140,10 @@ class Reporting(AbstractContextManager["Reporting"]):
         names = run_figures.draw(
             self.folder, self.trace, self.truth, config.adhesion.raise_probability, step
         )
-        timed = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
+        timing = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
         return Run(
             title, facts, _configuration(config, self._codec, gateway), as_toml(config), self.trace,
-            self.intervals, gateway.inbox.counts, self.truth, verdicts, timed,
+            self.intervals, gateway.inbox.counts, self.truth, verdicts, timing,
             [f"{inside}{name}" for name in names], _bus(config), notes,
             overload,
         )  # fmt: skip

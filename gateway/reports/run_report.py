@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from gateway.core.codes import REJECTED
 from gateway.reports import page, words
@@ -19,11 +19,11 @@ from gateway.reports.known import drives as of_drives
 from gateway.reports.page import Anchors, code, folded, picture, plain, table
 from gateway.reports.record import camel
 from gateway.reports.scoring import Judged, judge
+from gateway.reports.timing import Timed, section
 from gateway.reports.trace import Trace
 from gateway.reports.truth import Truth
 
 if TYPE_CHECKING:
-    from gateway.io.timing import Stage
     from gateway.reports.expectations import Verdict
 
 FEW: Final = 30
@@ -35,16 +35,6 @@ STATES: Final = (
 NO_TIMING: Final = (
     "None: this ran on a virtual clock, which is never late. Latency is measured on a bus."
 )
-
-
-class Timed(NamedTuple):
-    """Timing of a run in real time; picture: stem of its histograms."""
-
-    stages: Sequence[Stage]
-    period_ns: int
-    ticks: int
-    missed: int
-    picture: str
 
 
 @dataclass
@@ -232,7 +222,8 @@ def _sections(run: Run, level: str) -> list[str]:
     for node, figure in zip(run.trace.nodes, run.figures[1:], strict=False):
         what = f"Load, loss probability, flags, speed and temperatures of drive {node} over time"
         lines += [f"{level} Drive {node}", *picture(what, figure)]
-    lines += [f"{level} Latency and lateness", "", *_timing(run.timed)]
+    timing = section(run.timed) if run.timed else [NO_TIMING, ""]
+    lines += [f"{level} Latency and lateness", "", *timing]
     lines += [f"{level} Frames and bus", *_frames(run)]
     return lines
 
@@ -343,14 +334,6 @@ def _truth_of(i: Interval, judged: Sequence[Judged], false: set[Interval]) -> st
         return "**false**"
     mine = [j for j in judged if j.by == i]
     return ", ".join(f"{j.event.kind}, {j.delay_ms:,.0f} ms after its start" for j in mine)
-
-
-def _timing(timed: Timed | None) -> list[str]:
-    if timed is None:
-        return [NO_TIMING, ""]
-    from gateway.reports.timing import section
-
-    return section(timed.stages, timed.period_ns, timed.ticks, timed.missed, timed.picture)
 
 
 def _frames(run: Run) -> list[str]:

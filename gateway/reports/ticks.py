@@ -50,14 +50,10 @@ class TickLog:
         """uses: functions that get the ticks, in this order; most: ticks at a time."""
         self._uses = uses
         self._most = most
-        self._follows = False
+        self.follows = False
+        """Whether `follow` was called."""
         self._drives = 0
         self._log: Any = ffi.NULL
-
-    @property
-    def follows(self) -> bool:
-        """Whether `follow` was called."""
-        return self._follows
 
     def append(self, gateway: Gateway) -> None:
         """Keep the last tick of the gateway."""
@@ -68,10 +64,10 @@ class TickLog:
 
     def follow(self, gateway: Gateway) -> None:
         """Keep its last tick, and let the core keep all later ones; call it after each `run`."""
-        if not self._follows:
+        if not self.follows:
             self.append(gateway)
             gateway.keep_ticks(self._log)
-            self._follows = True
+            self.follows = True
         self._flush_full()
 
     def _flush_full(self) -> None:

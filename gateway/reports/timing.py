@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gateway.io.timing import Stage
 from gateway.io.whole_file import write_csv
+
+if TYPE_CHECKING:
+    from gateway.io.live import LiveSnapshot
 
 HEADER: Final = ("stage", "from_us", "below_us", "count")
 _COLUMNS: Final = 2
@@ -15,40 +18,52 @@ _SHOWN_NS: Final = 1024
 """All shorter times share one bar."""
 
 
-def leave(
-    folder: Path, stages: Sequence[Stage], title: str, period_ns: int, ticks: int, missed: int
-) -> None:
+class Timed(NamedTuple):
+    """Timing of a run in real time; picture: stem of its histograms."""
+
+    stages: Sequence[Stage]
+    period_ns: int
+    ticks: int
+    missed: int
+    picture: str = "timing"
+
+
+def timed(seen: LiveSnapshot, period_ns: int) -> Timed:
+    """The timing of a run so far."""
+    return Timed(seen.timing.stage_rows(), period_ns, seen.tick + 1, seen.missed)
+
+
+def leave(folder: Path, run: Timed, title: str) -> None:
     """Write timing.csv, timing.svg and report.md, report.html. Raises OSError."""
     from gateway.reports.page import plain, write
 
-    tables(folder, stages, period_ns)
-    lines = [f"# {plain(title)}", "", *section(stages, period_ns, ticks, missed, "timing")]
-    write(folder, title, "\n".join(lines), ["timing"])
+    tables(folder, run)
+    lines = [f"# {plain(title)}", "", *section(run)]
+    write(folder, title, "\n".join(lines), [run.picture])
 
 
-def tables(folder: Path, stages: Sequence[Stage], period_ns: int) -> None:
+def tables(folder: Path, run: Timed) -> None:
     """Write timing.csv and timing.svg. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = [
         (stage.name, f"{begin / 1e3:.3f}", f"{below / 1e3:.3f}", count)
-        for stage in stages
+        for stage in run.stages
         for begin, below, count in stage.octaves
     ]
     write_csv(folder / "timing.csv", [HEADER, *rows])
-    _picture(folder / "timing.svg", stages, period_ns)
+    _picture(folder / "timing.svg", run.stages, run.period_ns)
 
 
-def section(
-    stages: Sequence[Stage], period_ns: int, ticks: int, missed: int, picture: str
-) -> list[str]:
-    """Lines of a report in Markdown; picture: stem of the histograms."""
+def section(run: Timed) -> list[str]:
+    """Lines of a report in Markdown."""
+    period_ns = run.period_ns
     lines = [
-        f"{ticks} ticks of {period_ns / 1e6:g} ms, {missed} missed. Milliseconds; a percentile "
-        "is the upper end of its bucket (at most a quarter more than the value).", "",
+        f"{run.ticks} ticks of {period_ns / 1e6:g} ms, {run.missed} missed. Milliseconds; a "
+        "percentile is the upper end of its bucket (at most a quarter more than the value).", "",
         "| stage | count | p50 | p99 | p99.9 | largest | p99 of the period |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
-    for s in stages:
+    for s in run.stages:
         spans = " | ".join(f"{ns / 1e6:.3f}" for ns in (s.p50, s.p99, s.p999, s.largest))
         lines.append(f"| {s.name} | {s.values} | {spans} | {100.0 * s.p99 / period_ns:.1f} % |")
     return [
@@ -57,7 +72,7 @@ def section(
         "frame that completed the newest sample, from its kernel time stamp: waiting for "
         "the tick; reading the queue; deciding (decode, estimate, judge, encode); sending, until "
         "the tick's last frame is handed over; and all of it, frame to flag.",
-        "", f"![Histograms of every stage]({picture}.svg)", "",
+        "", f"![Histograms of every stage]({run.picture}.svg)", "",
     ]  # fmt: skip
 
 

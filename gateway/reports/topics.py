@@ -15,27 +15,18 @@ import numpy as np
 
 from dbc.frame import SECOND, Nanos
 from gateway.core.codes import Flag
-from gateway.reports.record import (
-    ADHESION,
-    ESTIMATES_HEADER,
-    FAULT,
-    FLAGS_HEADER,
-    Changes,
-    Coded,
-    Column,
-    by_code,
-    camel,
-    estimate_columns,
-    flag_columns,
-    in_words,
-)
+from gateway.reports import record
 from gateway.reports.ticks import Ticks
 
 TRAIN: Final = ("sensor", "comm", "estimator", "overrun", "common_mode")
-_LEVELS: Final = {ADHESION[Flag.BAD]: 4, FAULT[Flag.BAD]: 4, ADHESION[Flag.UNKNOWN]: 3}
+_LEVELS: Final = {
+    record.ADHESION[Flag.BAD]: 4,
+    record.FAULT[Flag.BAD]: 4,
+    record.ADHESION[Flag.UNKNOWN]: 3,
+}
 """Levels of `foxglove.Log`: 2 info, 3 warning, 4 error."""
 _INFO: Final = 2
-_WORDS: Final = by_code({flag: camel(flag.name) for flag in Flag})
+_WORDS: Final = record.by_code({flag: record.camel(flag.name) for flag in Flag})
 _TIME: Final = {
     "type": "object", "title": "time",
     "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
@@ -66,16 +57,18 @@ class Topics:
     def __init__(self, nodes: Sequence[int], file: Target) -> None:
         """nodes: in the order of the drives in the ticks."""
         self._nodes, self._file = nodes, file
-        self._changes = Changes()
+        self._changes = record.Changes()
 
     def add(self, ticks: Ticks) -> None:
         """Write ticks. Raises OSError."""
         names = [f"drive{node}" for node in self._nodes]
         drives = [f"/flags/{name}" for name in names]
-        self._put(ticks, "DriveFlags", drives, FLAGS_HEADER[2:], flag_columns(ticks))
+        self._put(ticks, "DriveFlags", drives, record.FLAGS_HEADER[2:], record.flag_columns(ticks))
         drives = [f"/estimates/{name}" for name in names]
-        self._put(ticks, "Estimates", drives, ESTIMATES_HEADER[2:], estimate_columns(ticks))
-        train = [Coded(ticks.train[name], _WORDS) for name in TRAIN]
+        self._put(
+            ticks, "Estimates", drives, record.ESTIMATES_HEADER[2:], record.estimate_columns(ticks)
+        )
+        train = [record.Coded(ticks.train[name], _WORDS) for name in TRAIN]
         self._put(ticks, "TrainFlags", ["/flags/train"], TRAIN, train)
         self._changes.add_ticks(ticks, self._nodes)
         events = self._file.channel("/events", "foxglove.Log", _LOG)
@@ -91,13 +84,13 @@ class Topics:
 
     def _put(
         self, ticks: Ticks, name: str, topics: Sequence[str], header: Sequence[str],
-        columns: Sequence[Coded | Column],
+        columns: Sequence[record.Coded | record.Column],
     ) -> None:  # fmt: skip
         """Write columns (K N,) to N topics."""
         properties = {}
         for key, column in zip(header, columns, strict=True):
             properties[key] = {"type": "number"}
-            if isinstance(column, Coded):
+            if isinstance(column, record.Coded):
                 properties[f"{key}_name"] = {"type": "string"}
         numbers = [self._file.channel(topic, f"traction.{name}", properties) for topic in topics]
         times = np.repeat(ticks.t_ns, len(topics)).tolist()
@@ -107,13 +100,13 @@ class Topics:
         )
 
 
-def _rows(header: Sequence[str], columns: Sequence[Coded | Column]) -> Iterator[Row]:
+def _rows(header: Sequence[str], columns: Sequence[record.Coded | record.Column]) -> Iterator[Row]:
     """Yield the rows, without values that are not known."""
     parts: dict[str, list[Any]] = {}
     for name, column in zip(header, columns, strict=True):
-        if isinstance(column, Coded):
+        if isinstance(column, record.Coded):
             parts[name] = column.code.tolist()
-            parts[f"{name}_name"] = in_words(column).tolist()
+            parts[f"{name}_name"] = record.in_words(column).tolist()
         else:
             parts[name] = [float(f"{value:.9g}") for value in column.tolist()]
     for row in zip(*parts.values(), strict=True):

@@ -230,8 +230,7 @@ def _row(cells: Sequence[str]) -> _Text:
     text, drive, speed, _, load, lost, ill, _, *more = cells
     t_s, speed_rad_s, load_nm = float(text), float(speed), float(load)
     if not (math.isfinite(t_s) and math.isfinite(speed_rad_s) and math.isfinite(load_nm)):
-        msg = "not finite"
-        raise ValueError(msg)
+        raise ValueError("not finite")
     cut, creep, _ = more or ("0", "", "")
     slip = float(creep) if creep else math.nan
     return _Text(t_s, int(drive), speed_rad_s, load_nm, int(lost), _CLASSES[ill], int(cut), slip)

@@ -120,12 +120,10 @@ class Drive(Extended):
     @classmethod
     def _some_and_each_once(cls, sensors: tuple[SensorName, ...]) -> tuple[SensorName, ...]:
         if not sensors:
-            msg = f"at least one is needed, of {', '.join(get_args(SensorName))}"
-            raise ValueError(msg)
+            raise ValueError(f"at least one is needed, of {', '.join(get_args(SensorName))}")
         twice = sorted({name for name in sensors if sensors.count(name) > 1})
         if twice:
-            msg = f"{', '.join(twice)} is listed twice; name each sensor once"
-            raise ValueError(msg)
+            raise ValueError(f"{', '.join(twice)} is listed twice; name each sensor once")
         return sensors
 
 
@@ -162,11 +160,10 @@ class FaultFree(Strict):
     @classmethod
     def _descending(cls, times: tuple[int, ...]) -> tuple[int, ...]:
         if not 1 <= len(times) <= STORED or list(times) != sorted(times, reverse=True):
-            msg = (
+            raise ValueError(
                 f"1 to {STORED} times, which must descend: use the line that "
                 "`traction-gateway calibrate --adhesion` prints"
             )
-            raise ValueError(msg)
         return times
 
 

@@ -45,8 +45,7 @@ class Source(Strict):
     offset: Annotated[float, within(-1e6, 1e6, "", "no offset is so large")] = 0.0
     not_available: tuple[Raw, ...] = Field((), description="raw values that mean no value")
     settle_ms: Annotated[
-        float,
-        within(0, 60_000, "ms", "give the time it is unused after power-up or a silence"),
+        float, within(0, 60_000, "ms", "give the time it is unused after power-up or a silence")
     ] = 0.0
     """Time during which the signal is not used."""
 
@@ -58,8 +57,7 @@ class Source(Strict):
     @model_validator(mode="after")
     def _some_scale(self) -> Source:
         if abs(self.scale) < LEAST_SCALE:
-            msg = f"scale: {self.scale:g} is too small: the signal would be 0"
-            raise ValueError(msg)
+            raise ValueError(f"scale: {self.scale:g} is too small: the signal would be 0")
         return self
 
     @property
@@ -80,8 +78,7 @@ class Signals(Strict):
     id_offset: Annotated[int, within(-(2**29), 2**29, "", "identifiers have up to 29 bits")] = 0
     """Added to every identifier of that file."""
     cycle_ms: dict[
-        str,
-        Annotated[float, within(0.1, 3_600_000, "ms", "give the cycle time in ms")],
+        str, Annotated[float, within(0.1, 3_600_000, "ms", "give the cycle time in ms")]
     ] = Field(
         default_factory=dict, description="by message, where that file has no GenMsgCycleTime"
     )

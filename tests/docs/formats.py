@@ -45,7 +45,7 @@ def there_and_back(kind, frames):
             sink.add(block_of(frames))
         finally:
             sink.close()
-        counted = {**sink.left_out, **getattr(sink, "reduced", {})}
+        counted = {**sink.left_out, **sink.reduced}
         if not sink.written:
             return [], counted
         found = [f for block in open_input(path, strict=True).blocks for f in block.frames()]

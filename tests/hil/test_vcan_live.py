@@ -12,6 +12,7 @@ from dbc.frame import MS, Frame
 from gateway.io.socketcan import SocketCan
 from gateway.io.transport import SendResult
 from gateway.settings.config import shipped_dbc
+from tests.buses import frames_of
 
 pytestmark = pytest.mark.vcan
 
@@ -29,14 +30,15 @@ class Watcher:
         self.frames = []
 
     def of(self, can_id, after_ns=0):
-        self.frames += self.bus.receive(0.0)
+        self.frames += frames_of(self.bus)
         return [f for f in self.frames if f.can_id == can_id and f.t_ns > after_ns]
 
     def until(self, fulfilled):
         deadline = time.monotonic() + PATIENCE_S
         while not fulfilled():
             assert time.monotonic() < deadline, f"not within {PATIENCE_S} s"
-            self.frames += self.bus.receive(0.05)
+            time.sleep(0.01)
+            self.frames += frames_of(self.bus)
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ from dbc.codec import bind
 from dbc.e2e import crc_ok
 from gateway.io.socketcan import SocketCan
 from gateway.settings.config import shipped_dbc
+from tests.buses import frames_of
 
 pytestmark = pytest.mark.vcan
 
@@ -109,7 +110,8 @@ def flags(bus, count):
     found = []
     while len(found) < count:
         assert time.monotonic() < deadline, f"{len(found)} of {count} flag frames"
-        found += [f for f in bus.receive(0.1) if f.can_id == ADHESION]
+        time.sleep(0.01)
+        found += [f for f in frames_of(bus) if f.can_id == ADHESION]
     return found
 
 

@@ -25,6 +25,7 @@ from gateway.io.socketcan import SocketCan
 from gateway.io.transport import Allow, LinkState, SendResult
 from gateway.io.wire import BusState
 from gateway.settings.config import shipped_dbc
+from tests.buses import frames_of
 
 pytestmark = pytest.mark.vcan
 
@@ -58,7 +59,8 @@ def until(bus, fulfilled):
     deadline = time.monotonic() + PATIENCE_S
     while not fulfilled():
         assert time.monotonic() < deadline, f"not within {PATIENCE_S} s: {bus.status}"
-        frames += bus.receive(0.02)
+        time.sleep(0.01)
+        frames += frames_of(bus)
     return frames
 
 
@@ -166,7 +168,7 @@ def stalled(bus, adapter):
     reader.start()
     ticks = 0
     while (now := time.monotonic()) < ending - 0.1:
-        bus.receive_block(0.0)
+        bus.receive()
         said = bytearray(bytes(2) + round((now - began) * 1e6).to_bytes(6, "little"))
         protect(spec, said, ticks)
         bus.send(Frame(0, FLAGS, bytes(said)))

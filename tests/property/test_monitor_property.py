@@ -63,7 +63,7 @@ def shown_by(observer, cuts, end):
     assert shown.t_s >= 0
     times = [event.t_s for event in shown.events]
     assert all(t <= shown.t_s for t in times)
-    return json.dumps(as_json(shown, history=True), allow_nan=False)
+    return json.dumps([as_json(shown), shown.history], allow_nan=False)
 
 
 @settings(max_examples=25, deadline=None)

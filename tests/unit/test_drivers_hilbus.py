@@ -61,8 +61,7 @@ class World(Bus):
     def sleep(self, seconds):
         self.now_ns += round(seconds * SECOND)
 
-    def receive(self, timeout_s):
-        assert timeout_s == 0.0
+    def waiting_frames(self):
         if not LATE_NS <= self.now_ns <= self.ended_ns:
             return []
         frames = self._simulation.step(self.sent, self.now_ns - LATE_NS)
@@ -182,10 +181,10 @@ def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(run, tmp_
 class Slow(World):
     """The drives' process wakes every 30 ms and sends what was due since then."""
 
-    def receive(self, timeout_s):
+    def waiting_frames(self):
         if self.now_ns // (10 * MS) % 3:
             return []
-        frames = super().receive(timeout_s)
+        frames = super().waiting_frames()
         return [
             f._replace(t_ns=self.now_ns - (len(frames) - k) * 1000) for k, f in enumerate(frames)
         ]

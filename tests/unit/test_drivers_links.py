@@ -13,7 +13,7 @@ from gateway.io.links import Facts, Links, advice, facts, question
 from gateway.io.wire import BusState
 from tests.programs import printed
 
-SET_UP = Facts(3, True, True, "can", BusState.ACTIVE, 100, 1_000_000, 5_000_000, 10)
+SET_UP = Facts(3, True, "can", BusState.ACTIVE, 100, 1_000_000, 5_000_000, 10)
 
 
 def attribute(kind, content):
@@ -37,7 +37,7 @@ def answer(state=0, restart_ms=100, kind=b"can"):
 def test_an_answer_of_a_controller(code, state):
     found = facts(answer(code))
     expected = None if state is None else BusState(state)
-    assert found == Facts(3, True, True, "can", expected, 100, 500_000, 0, 10)
+    assert found == Facts(3, True, "can", expected, 100, 500_000, 0, 10)
 
 
 def test_a_virtual_link_has_no_controller():

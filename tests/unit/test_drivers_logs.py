@@ -83,7 +83,7 @@ class Storm(Bus):
 
     tick = 0
 
-    def receive(self, timeout_s):
+    def waiting_frames(self):
         self.tick += 1
         k = self.tick
         self.status.state = LinkState.DOWN if k % 2 else LinkState.UP

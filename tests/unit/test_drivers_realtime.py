@@ -8,7 +8,7 @@ import pytest
 from dbc.frame import MS
 from gateway.io.realtime import Histogram, Ticker
 from gateway.io.timing import STAGES, Timing
-from gateway.reports.timing import leave
+from gateway.reports.timing import Timed, leave
 from tests.buses import Clock
 
 
@@ -164,7 +164,7 @@ def test_the_report_says_what_the_histograms_hold(tmp_path, decided):
         timing.lateness.add(100_000)
         begin = stamp + (k + 1) * MS
         timing.add(stamp, begin, begin + 10_000, begin + 400_000, begin + 500_000)
-    leave(tmp_path, timing.stage_rows(), "Timing of a test", 10 * MS, 2, 0)
+    leave(tmp_path, Timed(timing.stage_rows(), 10 * MS, 2, 0), "Timing of a test")
     with (tmp_path / "timing.csv").open() as file:
         rows = list(csv.DictReader(file))
     counted = dict.fromkeys(("lateness", *STAGES), 0)

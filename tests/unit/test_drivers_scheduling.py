@@ -91,7 +91,7 @@ def test_a_priority_that_is_none_is_refused(priority):
     assert not scheduling.is_realtime()
 
 
-CAN0 = Facts(3, True, True, "can", BusState.ACTIVE, 100, 500_000, 0, 10)
+CAN0 = Facts(3, True, "can", BusState.ACTIVE, 100, 500_000, 0, 10)
 
 
 def proc(tmp_path, most):

@@ -82,7 +82,7 @@ class Rig:
     def __getattr__(self, name):
         return getattr(self.core, name)
 
-    def receive_block(self, timeout_s):
+    def receive(self):
         return EMPTY
 
     def send(self, frame):

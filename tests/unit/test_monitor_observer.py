@@ -333,9 +333,9 @@ def test_json_has_the_dbcs_words_and_no_nan(run):
     assert plain["gateway"]["comm_fault"] == "NoFault"
     assert plain["gateway"]["reason"] == "None"
     assert "history" not in plain
-    trace = as_json(shown, history=True)["history"][1]
-    assert "AdhesionLost" in trace["adhesion"]
-    assert len(trace["t_s"]) == len(trace["load_nm"]) == 31
+    trace = shown.history[1]
+    assert Flag.BAD in trace.adhesion
+    assert len(trace.t_s) == len(trace.load_nm) == 31
     odd = shown._replace(t_s=float("nan"), drives=(shown.drives[0]._replace(nis=float("inf")),))
     assert as_json(odd)["t_s"] is as_json(odd)["drives"][0]["nis"] is None
 

@@ -84,7 +84,7 @@ def test_playing_follows_the_speed_pauses_and_ends(log, monkeypatch):
     shown.paused = False
     for _ in range(100):
         last = shown.advance(0.5)
-    assert shown.ended
+    assert shown._at_ns == shown._last_ns
     assert not shown.behind
     assert last.t_s == pytest.approx(shown.span_s[1], abs=0.0101)
     assert last.span_s == shown.span_s
@@ -114,7 +114,7 @@ def test_frames_whose_time_goes_back_are_left_out_as_replay_does(tmp_path):
     shown = source(path).seek(5.0)
     assert shown.link.rejected["time_back"] == len(back) == 19
     halting = source(path)
-    while not halting.ended:
+    while halting._at_ns < halting._last_ns:
         halting.seek(halting._at_ns / 1e9 + 0.013)
     assert halting.seek(5.0).link.rejected["time_back"] == 19
 
@@ -130,7 +130,7 @@ def test_a_hole_of_years_is_played_and_sought_through(tmp_path):
     assert sought.drives[0].adhesion is Flag.GOOD
     playing = source(path)
     looks = 0
-    while not playing.ended:
+    while playing._at_ns < playing._last_ns:
         shown = playing.advance(0.5)
         looks += 1
     assert looks < 200
@@ -162,7 +162,7 @@ class Fake:
         self.hangs = threading.Event()
         self.hangs.set()
 
-    def receive_block(self, _timeout_s):
+    def receive(self):
         self.hangs.wait()
         time.sleep(0.0005)
         first, now = self.given, self.now

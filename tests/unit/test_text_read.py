@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dbc.logs.lines import ROWS, Known, Scanner, shape_of
+from dbc.logs.format import Head
+from dbc.logs.lines import ROWS, Scanner, shape_of
 
 SECOND, MS, LATEST_NS = 10**9, 10**6, 4 * 10**18
 WORD = rb"[\x21-\xff]++"
@@ -39,7 +40,7 @@ def read(lines, unit_ns):
         def learn(head, _, heads=heads, wanted=wanted):
             heads.append(head.encode("latin-1"))
             size = len(wanted[2]) if isinstance(wanted, tuple) else 0
-            return Known(1, 0, size, "", -1)
+            return Head(1, 0, size)
 
         shape = shape_of(unit_ns, 1, 2, "d", 1)
         scan = Scanner(learn).scan(line + b"\n", 0, shape)
@@ -85,7 +86,7 @@ def test_more_heads_than_the_table_holds():
     def learn(head, line):
         assert line == f"1 {head}\n"
         met.append(head)
-        return Known(1, 0, 0, "", -1)
+        return Head(1, 0, 0)
 
     scanner, shape = Scanner(learn), shape_of(SECOND, 0, 2, "", -1)
     text = b"".join(b"1 %x d\n" % k for k in range(8000))
@@ -99,7 +100,7 @@ def test_more_heads_than_the_table_holds():
 @pytest.mark.parametrize(("head_words", "line"), [(0, b"1 01 02\n"), (2, b"1 a\n")])
 def test_a_line_without_its_head_is_not_plain(head_words, line):
     shape = shape_of(SECOND, 0, head_words, "", -1)
-    anything = Scanner(lambda _, __: Known(1, 0, 0, "", -1))
+    anything = Scanner(lambda _, __: Head(1, 0, 0))
     assert not anything.scan(line, 0, shape).plain.any()
 
 

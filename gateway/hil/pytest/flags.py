@@ -146,6 +146,5 @@ class GatewayFlags:
         if flag in OF_THE_SET:
             drive = 0
         elif drive not in self._bench.nodes:
-            msg = f"drive {drive} is not one of {self._bench.nodes}: name one of them"
-            raise ValueError(msg)
+            raise ValueError(f"drive {drive} is not one of {self._bench.nodes}: name one of them")
         return self.track.seen.get((flag, drive), [])

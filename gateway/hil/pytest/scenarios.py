@@ -28,7 +28,8 @@ class ScenarioFile(pytest.File):
             self.scenario: Scenario = load(self.path)
         except ScenarioError as error:
             raise self.CollectError(str(error)) from None
-        self._short: list[str] = []
+        self.short: list[str] = []
+        """A line per flag that was known for less of the time than expected."""
         self._outcome: list[list[tuple[Verdict, str]]] | None = None
         for number, expect in enumerate(self.scenario.expect):
             who = f"-{expect.drive}" if expect.flag in ("adhesion", "thermal") else ""
@@ -42,11 +43,6 @@ class ScenarioFile(pytest.File):
         if self._outcome is None:
             self._outcome = self._run()
         return self._outcome[number]
-
-    @property
-    def short(self) -> list[str]:
-        """A line per flag that was known for less of the time than expected; empty before a run."""
-        return self._short
 
     def _run(self) -> list[list[tuple[Verdict, str]]]:
         from gateway.hil.bench import touched_drives
@@ -71,7 +67,7 @@ class ScenarioFile(pytest.File):
         finally:
             bench.close()
         seen = known.of_frames(bench.flags.track.seen, bench.nodes, 0)
-        self._short = known.short_of(seen, expected_known(self.config))
+        self.short = known.short_of(seen, expected_known(self.config))
         touched = touched_drives(self.scenario)
         return [
             [(verdict, pictures[k]) for verdict in judge([e], bench.flags.track, touched, 0)]

@@ -55,7 +55,7 @@ class BusWorld:
         if self._start is None:
             self._start = now
         start = self._start
-        received = self._bus.receive(0.0)
+        received = list(self._bus.receive().frames())
         frames = newest(self.simulation.step(received, now - start))
         for frame in frames:
             self._bus.send(frame)
@@ -73,7 +73,7 @@ class BusWorld:
         """Run a tick of our own gateway, if there is one."""
         if self._core is None:
             return
-        block = self._theirs.receive_block(0.0)
+        block = self._theirs.receive()
         now = self._ticker.clock()
         sent = self._alter(self._core.step(block, now), now)
         for frame in sent + self._node.step(meant(block), now):

@@ -11,10 +11,7 @@ from typing import Final, NamedTuple
 
 FD_MTU: Final = 72
 """MTU of a link that carries CAN FD (Linux's CANFD_MTU)."""
-LOOPBACK: Final = (
-    "ip link set lo multicast on up",
-    "ip route add 224.0.0.0/4 dev lo 2>/dev/null",
-)
+LOOPBACK: Final = ("ip link set lo multicast on up", "ip route add 224.0.0.0/4 dev lo 2>/dev/null")
 """Multicast on `lo`, the only network, for buses such as python-can's `udp_multicast`."""
 FAILED: Final = 125
 """Exit code if the links could not be made; `env` and `timeout` use it for their own failure."""

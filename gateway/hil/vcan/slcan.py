@@ -39,8 +39,7 @@ class Adapter:
         fcntl.ioctl(self._line, TIOCSETD, struct.pack("i", N_SLCAN))
         new = set(interfaces()) - before
         if not new:
-            msg = "slcan links appear outside of this network namespace"
-            raise OSError(msg)
+            raise OSError("slcan links appear outside of this network namespace")
         (self.name,) = new
         os.set_blocking(self.master, False)
 

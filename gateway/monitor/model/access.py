@@ -52,8 +52,7 @@ def listen(text: str, default: Listen) -> Listen:
             host = host.strip("[]")
     number = int(port) if port.isascii() and port.isdigit() else default.port if not port else -1
     if not host or not 0 <= number <= 65535 or "/" in host:
-        msg = f"{text!r} is not HOST:PORT"
-        raise ValueError(msg)
+        raise ValueError(f"{text!r} is not HOST:PORT")
     return Listen(host, number)
 
 
@@ -78,7 +77,6 @@ class Wrong:
     """Wrong tokens by address: after `WRONG_MOST` of them the address has to wait. Bounded."""
 
     def __init__(self) -> None:
-        """Start without wrong tokens."""
         self._by: OrderedDict[str, tuple[float, int]] = OrderedDict()
 
     def waits_s(self, address: str, now_s: float) -> float:
@@ -129,10 +127,11 @@ class Access:
         """
         self._digest = None if token is None else hashlib.sha256(token).digest()
         # The cookie is not the token: it goes to every port of the host, and ends with the process.
-        self._session = (
+        self.session = (
             "" if token is None
             else hmac.new(token, secrets.token_bytes(32), "sha256").hexdigest()
         )  # fmt: skip
+        """Content of the cookie of a person who has given the token."""
         self._names = {*LOOPBACK_NAMES, *(name.lower() for name in names)}
         self._wrong = Wrong()
 
@@ -140,11 +139,6 @@ class Access:
     def wants_token(self) -> bool:
         """Whether a token is needed."""
         return self._digest is not None
-
-    @property
-    def session(self) -> str:
-        """Content of the cookie of a person who has given the token."""
-        return self._session
 
     def page(self, headers: Mapping[str, str]) -> Refusal | None:
         """None if Host and Origin name this machine. headers: names in lower case."""
@@ -167,7 +161,7 @@ class Access:
         """
         if self._digest is None:
             return None
-        if given is None and _is(cookie, self._session):
+        if given is None and _is(cookie, self.session):
             return None
         if given is None:
             scheme, _, given = headers.get("authorization", "").partition(" ")

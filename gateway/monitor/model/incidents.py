@@ -9,6 +9,7 @@ from typing import Final
 from dbc.frame import SECOND, Nanos
 from gateway.core.codes import Flag, GatewayState, Health, Reason
 from gateway.core.supervision import Emergency
+from gateway.monitor.model.rows import SET_FLAGS
 from gateway.monitor.model.snapshot import Event, GatewayRow, word
 
 KEPT: Final = 200
@@ -29,7 +30,6 @@ _LEVELS: Final[dict[type[IntEnum], dict[int, str]]] = {
     GatewayState: {GatewayState.DEGRADED: WARNING, GatewayState.SILENT: ERROR},
 }
 """By type first, because members of different enumerations are equal as numbers."""
-_SET_FLAGS: Final = ("common_mode", "sensor_fault", "comm_fault", "estimator_fault", "overrun")
 
 
 def level_of(value: IntEnum) -> str:
@@ -41,7 +41,6 @@ class Happenings:
     """Compares each state with the one before, and keeps the changes as events."""
 
     def __init__(self) -> None:
-        """Start without events."""
         self.events: deque[Event] = deque(maxlen=KEPT)
         self._first_ns: Nanos = 0
         self._last: dict[tuple[str, int], object] = {}
@@ -93,7 +92,7 @@ class Happenings:
         if row.source == "none" and row.present:
             return
         mark = MARK if row.source == "shadow" else ""
-        for name in _SET_FLAGS:
+        for name in SET_FLAGS:
             self.state(t_ns, name, 0, getattr(row, name), mark)
         if row.reason is not None:
             self.state(t_ns, "reason", 0, row.reason, mark)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from prometheus_client.core import (
@@ -20,6 +21,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from gateway.core.codes import FaultClass, GatewayState, Health, Reason
+from gateway.monitor.model.rows import SET_FLAGS
 from gateway.monitor.model.snapshot import DriveRow, GatewayRow, Lateness, LinkRow, Snapshot, word
 
 if TYPE_CHECKING:
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
 
 PREFIX: Final = "traction_gateway_"
 FLAG_HELP: Final = "0 unknown, 1 good, 2 bad"
-SET_FLAGS: Final = ("common_mode", "sensor_fault", "comm_fault", "estimator_fault", "overrun")
 POINTS: Final = {
     "stator": "stator_c", "drive_end": "drive_end_c", "non_drive_end": "non_drive_end_c",
     "ambient": "ambient_c", "mixed": "mixed_c",
@@ -184,21 +185,20 @@ def _histogram(late: Lateness) -> Metric:
     return family
 
 
-def _gauge(name: str, text: str, samples: Samples, labels: tuple[str, ...] = ()) -> Metric:
-    family = GaugeMetricFamily(PREFIX + name, text, labels=labels)
+def _family(
+    kind: type[GaugeMetricFamily | CounterMetricFamily], name: str, text: str, samples: Samples,
+    labels: tuple[str, ...] = (),
+) -> Metric:  # fmt: skip
+    family = kind(PREFIX + name, text, labels=labels)
     for values, number in samples:
         if number is not None:
             family.add_metric(values, number)
     return family
 
 
-def _counter(name: str, text: str, samples: Samples, labels: tuple[str, ...] = ()) -> Metric:
-    """A counter; the client adds `_total` to its name."""
-    family = CounterMetricFamily(PREFIX + name, text, labels=labels)
-    for values, number in samples:
-        if number is not None:
-            family.add_metric(values, number)
-    return family
+_gauge = partial(_family, GaugeMetricFamily)
+_counter = partial(_family, CounterMetricFamily)
+"""A counter; the client adds `_total` to its name."""
 
 
 def _state(

@@ -21,6 +21,8 @@ Tracks = Mapping[str, Track]
 Enum = TypeVar("Enum", bound=IntEnum)
 NMT: Final = {0: "BootUp", 4: "Stopped", 5: "Operational", 127: "PreOperational"}
 SILENT: Final = "Silent"
+SET_FLAGS: Final = ("common_mode", "sensor_fault", "comm_fault", "estimator_fault", "overrun")
+"""Flags of the train: fields of `GatewayRow`."""
 _FLAGS: Final[dict[int | None, Flag]] = {1: Flag.GOOD, 2: Flag.BAD}
 DETECTORS: Final = {
     1: "VariationalBayes", 2: "VariationalMessagePassing", 3: "KMeans", 4: "Median",

@@ -162,10 +162,7 @@ class Snapshot(NamedTuple):
     """A trace of the last 60 s for each drive."""
 
 
-_WORDS: Final[Mapping[str, Mapping[Flag, str]]] = {
-    "adhesion": ADHESION,
-    "common_mode": COMMON,
-}
+_WORDS: Final[Mapping[str, Mapping[Flag, str]]] = {"adhesion": ADHESION, "common_mode": COMMON}
 
 
 def word(name: str, value: IntEnum) -> str:
@@ -175,16 +172,10 @@ def word(name: str, value: IntEnum) -> str:
     return camel(value.name)
 
 
-def as_json(snapshot: Snapshot, *, history: bool = False) -> dict[str, Any]:
-    """The snapshot as data for JSON: keys are names of fields; None: not known.
-
-    history: include the traces, which are large; else the key is left out.
-    """
-    if not history:
-        snapshot = snapshot._replace(history=())
-    plain: dict[str, Any] = _plain("", snapshot)
-    if not history:
-        del plain["history"]
+def as_json(snapshot: Snapshot) -> dict[str, Any]:
+    """The snapshot without `history` for JSON: keys are names of fields; None: not known."""
+    plain: dict[str, Any] = _plain("", snapshot._replace(history=()))
+    del plain["history"]
     return plain
 
 

@@ -17,7 +17,6 @@ class Recent:
     """A point of every drive each `POINT_NS`; the oldest are dropped."""
 
     def __init__(self, nodes: Iterable[int]) -> None:
-        """Start without points."""
         self._t_s: deque[float] = deque(maxlen=POINTS)
         self._rows: dict[int, deque[DriveRow]] = {n: deque(maxlen=POINTS) for n in nodes}
 

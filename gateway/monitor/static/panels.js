@@ -20,28 +20,25 @@ export class Gateway {
 
   draw(row, known) {
     const { flags, values } = this;
-    const said = (value) => (known && value !== null ? value : UNKNOWN);
+    values.known = known;
     flags.set("state", "", row.state, known && (row.alive || row.source === "shadow"));
     for (const [name, label] of SET_FLAGS) flags.set(name, label, row[name], known);
-    const troubled = (reason) => known && reason !== null && reason !== "None";
-    values.set("reason", "reason", said(row.reason), "", troubled(row.reason));
-    values.set("thermal_reason", "thermal reason", said(row.thermal_reason), "",
+    const troubled = (reason) => reason !== null && reason !== "None";
+    values.set("reason", "reason", row.reason, "", troubled(row.reason));
+    values.set("thermal_reason", "thermal reason", row.thermal_reason, "",
       troubled(row.thermal_reason));
-    values.set("age", "oldest sample", known ? number(row.age_ms, 0) : UNKNOWN, "ms");
-    values.set("detector", "detector", said(row.detector));
-    values.set("misses", "ticks missed", known ? count(row.deadline_misses) : UNKNOWN, "",
-      known && row.deadline_misses > 0);
-    values.set("rejected", "frames rejected", known ? count(row.rejected) : UNKNOWN, "",
-      known && row.rejected > 0);
-    values.set("lost", "frames lost", known ? count(row.lost_frames) : UNKNOWN, "",
-      known && row.lost_frames > 0);
-    values.set("latency", "frame to flag, p99", known ? micros(row.latency_p99_us) : UNKNOWN);
-    values.set("late", "ticks late, p99", known ? micros(row.lateness_p99_us) : UNKNOWN);
-    values.set("load", "bus load, its word", known ? number(row.bus_load_pct, 0) : UNKNOWN, "%");
-    values.set("hash", "configuration", said(row.config_hash));
-    values.set("heartbeat", "heartbeat", said(row.heartbeat), "",
-      known && row.heartbeat === "Silent");
+    values.set("age", "oldest sample", number(row.age_ms, 0), "ms");
+    values.set("detector", "detector", row.detector);
+    values.set("misses", "ticks missed", count(row.deadline_misses), "", row.deadline_misses > 0);
+    values.set("rejected", "frames rejected", count(row.rejected), "", row.rejected > 0);
+    values.set("lost", "frames lost", count(row.lost_frames), "", row.lost_frames > 0);
+    values.set("latency", "frame to flag, p99", micros(row.latency_p99_us));
+    values.set("late", "ticks late, p99", micros(row.lateness_p99_us));
+    values.set("load", "bus load, its word", number(row.bus_load_pct, 0), "%");
+    values.set("hash", "configuration", row.config_hash);
+    values.set("heartbeat", "heartbeat", row.heartbeat, "", row.heartbeat === "Silent");
     const checked = row.authenticated;
+    values.known = true; // "not checked" says it
     values.set("authenticated", "authenticated",
       checked === null || !known ? "not checked" : checked ? "yes" : "NO", "", checked === false);
   }
@@ -55,20 +52,16 @@ export class Bus {
 
   draw(row, known) {
     const { flags, values } = this;
-    const figure = (value, digits = 0) => (known ? number(value, digits) : UNKNOWN);
+    values.known = known;
     flags.set("state", "", row.state, known);
-    values.set("load", "load, measured", figure(row.bus_load_pct, 1), "%",
-      known && row.bus_load_pct > 80);
-    values.set("frames", "frames", figure(row.frames_s), "/s");
-    values.set("received", "received", known ? count(row.received) : UNKNOWN);
-    values.set("errors", "error frames", known ? count(row.error_frames) : UNKNOWN, "",
-      known && row.error_frames > 0);
-    values.set("unread", "not read in time", known ? count(row.unread) : UNKNOWN, "",
-      known && row.unread > 0);
+    values.set("load", "load, measured", number(row.bus_load_pct, 1), "%", row.bus_load_pct > 80);
+    values.set("frames", "frames", number(row.frames_s, 0), "/s");
+    values.set("received", "received", count(row.received));
+    values.set("errors", "error frames", count(row.error_frames), "", row.error_frames > 0);
+    values.set("unread", "not read in time", count(row.unread), "", row.unread > 0);
     const causes = Object.entries(row.rejected);
     const text = causes.map(([cause, n]) => `${cause.replaceAll("_", " ")} ${n}`).join(", ");
-    values.set("causes", "not used, by cause", known ? text || "none" : UNKNOWN, "",
-      known && causes.length > 0);
+    values.set("causes", "not used, by cause", text || "none", "", causes.length > 0);
   }
 }
 
@@ -120,36 +113,33 @@ class Drive {
 
   draw(row, known) {
     const { flags, values } = this;
-    const figure = (value, digits) => (known ? number(value, digits) : UNKNOWN);
-    const said = (value) => (known && value !== null ? value : UNKNOWN);
+    values.known = known;
     flags.set("adhesion", "", row.adhesion, known);
     flags.set("thermal", "thermal", row.thermal, known);
     flags.set("health", "", row.health, known);
-    const load = figure(row.load_nm, 1);
-    const sigma = figure(row.load_sigma_nm, 1);
-    values.set("speed", "speed, estimated", figure(row.speed_rad_s, 1), "rad/s");
-    values.set("measured", "speed, its word", figure(row.measured_speed_rad_s, 1), "rad/s");
+    const load = number(row.load_nm, 1);
+    const sigma = number(row.load_sigma_nm, 1);
+    values.set("speed", "speed, estimated", number(row.speed_rad_s, 1), "rad/s");
+    values.set("measured", "speed, its word", number(row.measured_speed_rad_s, 1), "rad/s");
     values.set("load", "load torque", load === UNKNOWN ? UNKNOWN : `${load} ± ${sigma}`, "Nm");
     const lost = row.loss_probability;
-    values.set("loss", "loss probability", figure(lost === null ? null : 100 * lost, 0), "%");
-    values.set("nis", "NIS", figure(row.nis, 1));
-    values.set("state", "state", said(row.state), "", known && row.state === "Fault");
-    values.set("stator", "stator", figure(row.stator_c, 1), "°C");
-    values.set("de", "drive end", figure(row.drive_end_c, 1), "°C");
-    values.set("nde", "other end", figure(row.non_drive_end_c, 1), "°C");
-    values.set("mixed", "mixed state", figure(row.mixed_c, 1), "°C");
-    values.set("ambient", "ambient", figure(row.ambient_c, 1), "°C");
-    values.set("maisd", "MAISD", figure(row.maisd_k, 2), "K");
-    const grave = known && !["Unknown", "None"].includes(row.fault_class);
+    values.set("loss", "loss probability", number(lost === null ? null : 100 * lost, 0), "%");
+    values.set("nis", "NIS", number(row.nis, 1));
+    values.set("state", "state", row.state, "", row.state === "Fault");
+    values.set("stator", "stator", number(row.stator_c, 1), "°C");
+    values.set("de", "drive end", number(row.drive_end_c, 1), "°C");
+    values.set("nde", "other end", number(row.non_drive_end_c, 1), "°C");
+    values.set("mixed", "mixed state", number(row.mixed_c, 1), "°C");
+    values.set("ambient", "ambient", number(row.ambient_c, 1), "°C");
+    values.set("maisd", "MAISD", number(row.maisd_k, 2), "K");
+    const grave = !["Unknown", "None"].includes(row.fault_class);
     const where = row.fault_sensor && row.fault_sensor !== "None" ? ` at ${row.fault_sensor}` : "";
-    values.set("fault", "thermal fault", known ? `${row.fault_class}${where}` : UNKNOWN, "", grave);
-    values.set("trend", "trend", figure(row.degradation_k_h, 3), "K/h");
-    values.set("heartbeat", "heartbeat", said(row.heartbeat), "",
-      known && row.heartbeat === "Silent");
-    values.set("jumps", "jumps", known ? count(row.jumps) : UNKNOWN);
-    values.set("rejected", "frames rejected", known ? count(row.rejected) : UNKNOWN, "",
-      known && row.rejected > 0);
-    values.set("age", "last heard", known ? age(row.age_s) : UNKNOWN);
+    values.set("fault", "thermal fault", `${row.fault_class}${where}`, "", grave);
+    values.set("trend", "trend", number(row.degradation_k_h, 3), "K/h");
+    values.set("heartbeat", "heartbeat", row.heartbeat, "", row.heartbeat === "Silent");
+    values.set("jumps", "jumps", count(row.jumps));
+    values.set("rejected", "frames rejected", count(row.rejected), "", row.rejected > 0);
+    values.set("age", "last heard", age(row.age_s));
   }
 }
 

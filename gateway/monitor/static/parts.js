@@ -1,6 +1,6 @@
 // Small pieces of the page. Text only ever goes in as text: what comes from a bus is not trusted.
 
-import { SIGNS, kind } from "./words.js";
+import { SIGNS, UNKNOWN, kind } from "./words.js";
 
 export function element(tag, name = "", text = "") {
   const made = document.createElement(tag);
@@ -37,14 +37,16 @@ export class Flags {
 
 const WIDE = new Set(["detector", "fault", "causes"]);
 
-// Names and values; an odd one is marked.
+// Names and values; an odd one is marked. Unless known, all values are shown as unknown.
 export class Values {
   constructor(parent) {
     this.parent = parent;
     this.made = new Map();
+    this.known = false;
   }
 
   set(key, label, value, unit = "", odd = false) {
+    const shown = this.known && value !== null ? value : UNKNOWN;
     let cell = this.made.get(key);
     if (!cell) {
       const pair = element("div", WIDE.has(key) ? "wide" : "");
@@ -56,8 +58,8 @@ export class Values {
       this.parent.append(pair);
       this.made.set(key, cell);
     }
-    write(cell.text, value);
-    write(cell.unit, unit && value !== "?" ? ` ${unit}` : "");
-    cell.dd.classList.toggle("odd", odd);
+    write(cell.text, shown);
+    write(cell.unit, unit && shown !== UNKNOWN ? ` ${unit}` : "");
+    cell.dd.classList.toggle("odd", this.known && odd);
   }
 }
