@@ -66,10 +66,7 @@ BAD = {
         *b"45123#81:00:af#00 45123#81:00:12345678#".split(),
         *(b"123#00" + end for end in (b" X", b" R T", b"\xff", b"\0\0\0")),
     ],
-    V.BAD_LENGTH: [
-        b"123#112233445566778899",
-        *(b"123##1" + b"00" * size for size in (9, 63, 100)),
-    ],
+    V.BAD_LENGTH: [b"123#112233445566778899", *(b"123##1" + b"00" * size for size in (9, 63, 100))],
 }
 BAD_ONES = [(body, verdict) for verdict, bodies in BAD.items() for body in bodies]
 LINES = [
