@@ -1,5 +1,7 @@
 """Options of the test run."""
 
+import gc
+
 import pytest
 
 from tests.fuzz import load_fuzz, load_gate
@@ -47,6 +49,11 @@ def pytest_addoption(parser):
     parser.getgroup("golden").addoption(
         "--update-golden", action="store_true", help="write the expected golden logs anew"
     )
+
+
+def pytest_collection_finish():
+    """A search for garbage in all that the tests have loaded takes half a second: seldom."""
+    gc.set_threshold(20_000, 20, 20)
 
 
 def pytest_configure(config):
