@@ -36,7 +36,7 @@ def _marks(setup):
 def test_nothing_that_drives_say_raises(setup):
     wanted = stretches(setup)
     if setup.drives > 3:
-        wanted = [s for s in wanted if s.message in ("electrical", "all")]
+        wanted = [s for s in wanted if s.message == "all"]
     assert not run(setup, wanted)
 
 
