@@ -151,16 +151,8 @@ def test_the_model_beats_the_papers_method():
 
 def test_the_command(capsys, tmp_path):
     words = [
-        "evaluate",
-        "thermal",
-        "--seeds",
-        "2",
-        "--kind",
-        "bearing",
-        "--method",
-        "model",
-        "dpca",
-    ]
+        "evaluate", "thermal", "--seeds", "2", "--kind", "bearing", "--method", "model", "dpca",
+    ]  # fmt: skip
     assert main([*words, "-o", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "| model | bearing | 1 |" in out
