@@ -51,12 +51,9 @@ def pytest_addoption(parser):
     )
 
 
-def pytest_collection_finish():
-    """A search for garbage in all that the tests have loaded takes half a second: seldom."""
-    gc.set_threshold(20_000, 20, 20)
-
-
 def pytest_configure(config):
+    # A search for garbage in all that the tests have loaded takes half a second: seldom.
+    gc.set_threshold(20_000, 20, 20)
     if config.getoption("--fuzz"):
         load_fuzz(config.getoption("--fuzz"))
 
