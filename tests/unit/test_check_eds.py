@@ -141,7 +141,9 @@ def test_a_file_that_is_not_there(tmp_path):
 
 
 def test_what_is_read_is_what_canopen_reads(tmp_path):
-    for path in sorted(DATA.glob("*.eds")):
+    paths = sorted(DATA.glob("*.eds"))
+    assert len(paths) >= 2
+    for path in paths:
         eds = EdsText(path.read_text())
         # canopen takes no empty number, which makers leave in [DeviceInfo].
         lines = path.read_text().splitlines(keepends=True)
