@@ -56,11 +56,7 @@ def draw(folder: Path) -> list[Path]:
     from matplotlib import pyplot as plt
 
     made = []
-    for name, figure in (
-        ("icub", _icub(plt)),
-        ("inverter", _inverter(plt)),
-        ("kona", _kona(plt)),
-    ):
+    for name, figure in (("icub", _icub(plt)), ("inverter", _inverter(plt)), ("kona", _kona(plt))):
         path = folder / f"real_{name}.png"
         figure.savefig(path, dpi=100, metadata={"Software": None})
         plt.close(figure)

@@ -1,5 +1,7 @@
 """Options of the test run."""
 
+import gc
+
 import pytest
 
 from tests.fuzz import load_fuzz, load_gate
@@ -50,6 +52,8 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    # A search for garbage in all that the tests have loaded takes half a second: seldom.
+    gc.set_threshold(20_000, 20, 20)
     if config.getoption("--fuzz"):
         load_fuzz(config.getoption("--fuzz"))
 

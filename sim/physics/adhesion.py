@@ -15,6 +15,7 @@ rail are the paper's; those for leaves are ours (peak near 0.06).
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -80,11 +81,13 @@ def traction_coefficient(
     return out
 
 
+@lru_cache(maxsize=64)  # the drives of a train ask alike
 def available(curve: Rail, v_m_s: float, creep_limit: float) -> float:
     """Largest F / Q the rail offers up to `creep_limit`: what a drive with a slip limit can use."""
     return float(traction_coefficient(curve, creep_limit * _SHARES, v_m_s).max())
 
 
+@lru_cache(maxsize=64)
 def peak_creep(curve: Rail, v_m_s: float) -> float:
     """Creep of the largest F / Q below 0.5: beyond it the wheel runs away."""
     creep = np.linspace(0.0, 0.5, 501)

@@ -213,16 +213,21 @@ class Plant:
             SPEED_FLOOR_M_S, CUT_PER_S, RESTORE_PER_S, RAIL_STEPS if on_rail else 1, on_rail,
             w_0, load_0, load_0,
         )  # fmt: skip
+        # Columns that are read number by number: from the records it takes ten times as long.
+        self._share, self._brake = self.p["share"], self.p["brake_nm"]
+        self._wheel, self._creep_max = self.p["wheel"], self.p["creep_max"]
+        self._w_m = self.drives["w_m"]
+        self._w_train, self._demand = self.state["w_m"], self.state["demand_nm"]
 
     @property
     def demand_nm(self) -> float:
         """The train's torque demand on each drive, before limiter and slip limit, Nm."""
-        return float(self.state.demand_nm[0])
+        return float(self._demand[0])
 
     @property
     def w_train(self) -> float:
         """The train's speed, rad/s of a rotor with a nominal wheel that does not slide."""
-        return float(self.state.w_m[0])
+        return float(self._w_train[0])
 
     @property
     def v_m_s(self) -> float:
@@ -272,8 +277,8 @@ class Plant:
         if not self.on_rail:
             return math.nan, math.nan
         v = self.v_m_s
-        radius = self.train.wheel_radius_m * float(self.p.wheel[drive])
-        slip = float(self.drives.w_m[drive]) * radius - v
+        radius = self.train.wheel_radius_m * float(self._wheel[drive])
+        slip = float(self._w_m[drive]) * radius - v
         return slip / max(abs(v), SPEED_FLOOR_M_S), v
 
     def shortage(self, drive: int, condition: Rail, load: float) -> float:
@@ -289,7 +294,7 @@ class Plant:
 
     def given(self, drive: int, torque: float) -> float:
         """Share of the train's demand on this motor that `torque` Nm is, 0..1; 1 at preset load."""
-        asked = self.demand_nm * float(self.p.share[drive])
+        asked = self.demand_nm * float(self._share[drive])
         if not self.on_rail or asked == 0.0:
             return 1.0
         return min(max(torque / asked, 0.0), 1.0)
@@ -300,18 +305,18 @@ class Plant:
         At standstill a brake only holds and asks nothing of the rail. A train stands when a
         locked wheel's creep is within 5 %: below 25 mm/s.
         """
-        asked = self.demand_nm * float(self.p.share[drive])
+        asked = self.demand_nm * float(self._share[drive])
         v = self.v_m_s
         if abs(v) > CREEP_LIMIT * SPEED_FLOOR_M_S:
-            asked -= math.copysign(float(self.p.brake_nm[drive]), v)
+            asked -= math.copysign(float(self._brake[drive]), v)
         return asked
 
     def _limit(self, drive: int, condition: Rail) -> float:
         """Most that this rail carries within the drive's slip limit, Nm."""
         v = self.v_m_s
-        creep = float(self.p.creep_max[drive])
+        creep = float(self._creep_max[drive])
         most = available(condition, v, peak_creep(condition, v) if math.isinf(creep) else creep)
-        return self.wheel_load_nm * float(self.p.share[drive]) * most
+        return self.wheel_load_nm * float(self._share[drive]) * most
 
 
 class QuasiStatic:

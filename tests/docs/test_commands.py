@@ -84,3 +84,4 @@ def test_what_is_for_a_terminal_says_so_and_what_is_not_run_says_why():
             assert block.run.startswith(REASONS), where
             assert block.run == "vcan" or len(block.run) > len("no, ") + 10, where
     assert sum(block.language == "sh" for block in ALL) > 15
+    assert len(INLINE.findall("".join((ROOT / page).read_text() for page in pages()))) > 15

@@ -21,15 +21,9 @@ from tests.core_variants import build
 from tests.provenance import commit_of
 
 UNITS = {
-    "candump": "lines",
-    "readers": "lines",
-    "frames": "frames",
-    "tick": "ticks",
-    "values": "ticks",
-    "dbc": "codecs",
-    "config": "configurations",
-    "scenario": "scenarios",
-}
+    "candump": "lines", "readers": "lines", "frames": "frames", "tick": "ticks", "values": "ticks",
+    "dbc": "codecs", "config": "configurations", "scenario": "scenarios",
+}  # fmt: skip
 NAMES = tuple(UNITS)
 
 

@@ -115,23 +115,9 @@ class Receiver:
     """
 
     __slots__ = (
-        "_data_id",
-        "_data_ids",
-        "_last",
-        "_mask",
-        "_next",
-        "_profile",
-        "_window",
-        "error",
-        "errors_seen",
-        "lost",
-        "missed",
-        "ok",
-        "oks_seen",
-        "repeated",
-        "state",
-        "wrong_sequence",
-    )
+        "_data_id", "_data_ids", "_last", "_mask", "_next", "_profile", "_window", "error",
+        "errors_seen", "lost", "missed", "ok", "oks_seen", "repeated", "state", "wrong_sequence",
+    )  # fmt: skip
 
     def __init__(self, spec: MessageSpec) -> None:
         """Start in NO_DATA with an empty window."""

@@ -51,12 +51,7 @@ def predict(
 
 
 def coast(
-    par: Pmsm,
-    noise: Noise,
-    x: Float[Array, "N 5"],
-    P: Float[Array, "N 5 5"],
-    n_gap: int,
-    dt: float,
+    par: Pmsm, noise: Noise, x: Float[Array, "N 5"], P: Float[Array, "N 5 5"], n_gap: int, dt: float
 ) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"]]:
     """Prior after n_gap sub-steps without voltage: `motor_model.coast` in one step.
 

@@ -14,7 +14,6 @@ without samples is bridged as in the EKF.
 # ruff: noqa: F722, F821, UP037 - shape strings of jaxtyping
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +23,7 @@ from estimators.models.pmsm import THETA_E, W_E, Noise, Pmsm
 from tests.reference import ekf, kalman, motor_model
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float
 
 Array = NDArray[np.float64]
 
@@ -105,25 +104,3 @@ def _cholesky(P: Array) -> tuple[Array, NDArray[np.bool_]]:
             dot = np.sum(L[:, i, :j] * L[:, j, :j], axis=1)
             L[:, i, j] = (P[:, i, j] - dot) / L[:, j, j]
     return L, ok
-
-
-def sweep(
-    par: Pmsm,
-    noise: Noise,
-    x: Float[Array, "N 5"],
-    P: Float[Array, "N 5 5"],
-    drive: Int[NDArray[np.int32], "M"],
-    u: Float[Array, "M 2"],
-    y: Float[Array, "M 2"],
-    n_sub: Int[NDArray[np.int64], "M"],
-    n_gap: Int[NDArray[np.int64], "M"],
-    dt: float,
-    kappa: float = KAPPA,
-    lean: Float[Array, "N"] | None = None,
-) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
-    """M samples in order, x and P in place: as `filter_run` does.
-
-    lean and the returned (nis (M,), ok (N,)) as in `ekf.sweep`.
-    """
-    prior = partial(predict, kappa=kappa)
-    return ekf.sweep(par, noise, x, P, drive, u, y, n_sub, n_gap, dt, lean, prior)

@@ -31,7 +31,7 @@ def test_full_traffic_holds_nothing_and_leaves_nothing_out():
 
 
 def test_slow_messages_keep_the_thermal_flags_good(tmp_path):
-    soaked = slow_messages(3, slow_dbc(tmp_path), span_s=320)
+    soaked = slow_messages(3, slow_dbc(tmp_path), span_s=160)
     summary, blocks = soaked.summary(), soaked.books.blocks
     assert summary["unaccounted"] == 0
     assert max(blocks[1:]) - min(blocks[1:]) < 200

@@ -13,110 +13,46 @@ from gateway.settings.config import ConfigError
 
 DATA = Path(__file__).parents[1] / "data" / "eds"
 TRAIN = str(Path(__file__).parents[2] / "examples" / "train.toml")
-DCF = """[FileInfo]
-FileName=d.dcf
-[DeviceInfo]
-VendorName=
-VendorNumber=
-ProductName=Drive 5
-[DeviceComissioning]
-NodeID=0x05
-NodeName=
-[MandatoryObjects]
-SupportedObjects=1
-1=0x1000
-[1000]
-ParameterName=Device type
-ObjectType=0x7
-DataType=0x0007
-AccessType=ro
-DefaultValue=0
-[OptionalObjects]
-SupportedObjects=4
-1=0x1017
-2=0x1800
-3=0x1A00
-4=0x1801
-[1017]
-ParameterName=Producer heartbeat time
-ObjectType=0x7
-DataType=0x0006
-AccessType=rw
-DefaultValue=0
-ParameterValue={heartbeat}
-[1800]
-ParameterName=TPDO 1
-ObjectType=0x9
-SubNumber=2
-[1800sub0]
-ParameterName=Entries
-ObjectType=0x7
-DataType=0x0005
-AccessType=ro
-DefaultValue=1
-[1800sub1]
-ParameterName=COB-ID
-ObjectType=0x7
-DataType=0x0007
-AccessType=rw
-DefaultValue=$NODEID+0x180
-[1801]
-ParameterName=TPDO 2, not in use
-ObjectType=0x9
-SubNumber=2
-[1801sub0]
-ParameterName=Entries
-ObjectType=0x7
-DataType=0x0005
-AccessType=ro
-DefaultValue=1
-[1801sub1]
-ParameterName=COB-ID
-ObjectType=0x7
-DataType=0x0007
-AccessType=rw
-DefaultValue=0x80000285
-[1A00]
-ParameterName=Mapping
-ObjectType=0x9
-SubNumber=3
-[1A00sub0]
-ParameterName=Entries
-ObjectType=0x7
-DataType=0x0005
-AccessType=rw
-DefaultValue=2
-[1A00sub1]
-ParameterName=First
-ObjectType=0x7
-DataType=0x0007
-AccessType=rw
-DefaultValue=0x60410010
-[1A00sub2]
-ParameterName=Second
-ObjectType=0x7
-DataType=0x0007
-AccessType=rw
-DefaultValue=0x20000220
-[ManufacturerObjects]
-SupportedObjects=1
-1=0x2000
-[2000]
-ParameterName=Motor
-ObjectType=0x9
-SubNumber=2
-[2000sub0]
-ParameterName=Entries
-ObjectType=0x7
-DataType=0x0005
-AccessType=ro
-DefaultValue=2
-[2000sub2]
-ParameterName=Temperature
-ObjectType=0x7
-DataType=0x0004
-AccessType=ro
-"""
+
+
+def record(section, name, kind, access, default=None):
+    """A variable, or an entry of an array, of one of CANopen's kinds of numbers."""
+    lines = [f"[{section}]", f"ParameterName={name}", "ObjectType=0x7", f"DataType=0x{kind:04X}"]
+    lines += [f"AccessType={access}", *([] if default is None else [f"DefaultValue={default}"])]
+    return lines
+
+
+def array(section, name, *entries, count, access="ro"):
+    """An array or a record: the number of its entries, and those that the file has."""
+    head = [f"[{section}]", f"ParameterName={name}", "ObjectType=0x9", f"SubNumber={count}"]
+    number = record(f"{section}sub0", "Entries", UNSIGNED8, access, count - 1)
+    return [*head, *number, *(line for entry in entries for line in entry)]
+
+
+def listed(kind, *indices):
+    """Which objects of a kind there are."""
+    names = [f"{k}=0x{index}" for k, index in enumerate(indices, start=1)]
+    return [f"[{kind}Objects]", f"SupportedObjects={len(indices)}", *names]
+
+
+UNSIGNED8, UNSIGNED16, UNSIGNED32, SIGNED32 = 5, 6, 7, 4
+DCF = "\n".join([
+    "[FileInfo]", "FileName=d.dcf",
+    "[DeviceInfo]", "VendorName=", "VendorNumber=", "ProductName=Drive 5",
+    "[DeviceComissioning]", "NodeID=0x05", "NodeName=",
+    *listed("Mandatory", "1000"), *record("1000", "Device type", UNSIGNED32, "ro", 0),
+    *listed("Optional", "1017", "1800", "1A00", "1801"),
+    *record("1017", "Producer heartbeat time", UNSIGNED16, "rw", 0), "ParameterValue={heartbeat}",
+    *array("1800", "TPDO 1", record("1800sub1", "COB-ID", UNSIGNED32, "rw", "$NODEID+0x180"),
+           count=2),
+    *array("1801", "TPDO 2, not in use",
+           record("1801sub1", "COB-ID", UNSIGNED32, "rw", "0x80000285"), count=2),
+    *array("1A00", "Mapping", record("1A00sub1", "First", UNSIGNED32, "rw", "0x60410010"),
+           record("1A00sub2", "Second", UNSIGNED32, "rw", "0x20000220"), count=3, access="rw"),
+    *listed("Manufacturer", "2000"),
+    *array("2000", "Motor", record("2000sub2", "Temperature", SIGNED32, "ro"), count=3),
+    "",
+])  # fmt: skip
 
 
 @pytest.fixture
@@ -205,7 +141,9 @@ def test_a_file_that_is_not_there(tmp_path):
 
 
 def test_what_is_read_is_what_canopen_reads(tmp_path):
-    for path in sorted(DATA.glob("*.eds")):
+    paths = sorted(DATA.glob("*.eds"))
+    assert len(paths) >= 2
+    for path in paths:
         eds = EdsText(path.read_text())
         # canopen takes no empty number, which makers leave in [DeviceInfo].
         lines = path.read_text().splitlines(keepends=True)

@@ -189,10 +189,7 @@ def test_a_torque_in_place_of_the_command_hides_half_a_load(tmp_path):
 
 @pytest.mark.parametrize(
     ("without", "said"),
-    [
-        (("Ia", "Ib", "Ic"), "no phase currents"),
-        (("Ualpha", "Ubeta"), "no voltages"),
-    ],
+    [(("Ia", "Ib", "Ic"), "no phase currents"), (("Ualpha", "Ubeta"), "no voltages")],
 )
 def test_a_drive_that_can_never_be_judged_is_not_tried(tmp_path, without, said):
     config = mapped(tmp_path, without=without, drives=2)

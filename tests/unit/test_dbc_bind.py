@@ -105,80 +105,59 @@ def test_missing_signal_and_widths(tmp_path):
     ]
 
 
-def test_duplicates_that_cantools_lets_pass(tmp_path):
-    path = write(
-        tmp_path / "twice.dbc",
-        message(5, "A", 8, signal("X", 0, 8), signal("X", 8, 8)),
-        message(5, "B", 8),
-        message(0x80000005, "C", 8),
-        message(6, "A", 8),
-    )
-    assert problems_of(path, (), ANY) == (
-        "A: defined 2 times",
-        "id 0x005: shared by A, B",
-        "A.X: defined 2 times",
-    )
-
-
-def test_all_overlaps_and_misfits_not_only_the_first(tmp_path):
-    path = write(
-        tmp_path / "layout.dbc",
-        message(5, "A", 2, signal("X", 0, 9), signal("Y", 8, 8), signal("Z", 12, 8)),
-        message(6, "B", 1, signal("M M", 0, 2), signal("P m0", 2, 3), signal("Q m1", 3, 3)),
-        message(7, "C", 8, signal("R", 7, 12, order=0), signal("S", 12, 2)),
-    )
-    assert sorted(problems_of(path, (), ANY)) == [
-        "A.Z: does not fit in 2 bytes (line 10)",
-        "A: X and Y overlap (line 7)",
-        "A: Y and Z overlap (line 7)",
-        "C: R and S overlap (line 17)",
-    ]
-
-
-def test_numbers_no_frame_has_are_refused_by_line(tmp_path):
-    """Before cantools, which would try to find memory for them."""
-    path = write(
-        tmp_path / "huge.dbc",
-        message(5, "A", 10**12, signal("X", 0, 10**12), signal("Y", 10**12, 8)),
-        message(6, "B", 65),
-        "SG_MUL_VAL_ 5 X Y 0-4294967295;",
-        'BA_DEF_ "Hash" STRING;',
-        'BA_ "Hash" "1e4000";',
-        'BA_DEF_ "N" INT 0 1E999999999;',
-    )
-    assert problems_of(path, (), ANY) == (
-        "line 7: A: 1000000000000 bytes; CAN FD has 64",
-        "line 8: X: 1000000000000 bits; 1 to 64 are possible",
-        "line 9: Y: starts at bit 1000000000000 of 512",
-        "line 11: B: 65 bytes; CAN FD has 64",
-        "line 13: multiplexer values above 65535",
-        "line 16: a number with more than 300 digits",
-    )
-
-
-def test_protection_attributes_are_checked(tmp_path):
-    path = write(
-        tmp_path / "e2e.dbc",
-        message(5, "A", 1),
-        message(6, "B", 8, signal("Crc", 16, 8), signal("Data", 4, 12)),
-        message(7, "C", 8),
-        message(0x90000000, "D", 8),
-        message(8, "E", 8),
-        'BA_DEF_ BO_ "E2EProfile" ENUM "None","P02","P05","P11";',
-        'BA_DEF_ BO_ "E2EDataId" INT 0 4294967295;',
-        'BA_DEF_DEF_ "E2EProfile" "P02";',
-        'BA_DEF_DEF_ "E2EDataId" 0;',
-        'BA_ "E2EProfile" BO_ 7 3;',
-        'BA_ "E2EProfile" BO_ 2415919104 2;',
-        'BA_ "E2EProfile" BO_ 8 0;',
-    )
-    assert sorted(problems_of(path, (), ANY)) == [
-        "A: 1 bytes have no room for the P02 header",
-        "B.Crc: P02 has it at 0|8@1+",
-        "B.Data: lies in the P02 header",
-        "C: E2EProfile 'P11'; known: None, P02, P05",
-        "D: E2EDataId 268435456 does not fit in 16 bits",
-    ]
+@pytest.mark.parametrize(("parts", "problems"), [
+    pytest.param(
+        [message(5, "A", 8, signal("X", 0, 8), signal("X", 8, 8)), message(5, "B", 8),
+         message(0x80000005, "C", 8), message(6, "A", 8)],
+        ["A: defined 2 times", "id 0x005: shared by A, B", "A.X: defined 2 times"],
+        id="duplicates that cantools lets pass",
+    ),
+    pytest.param(
+        [message(5, "A", 2, signal("X", 0, 9), signal("Y", 8, 8), signal("Z", 12, 8)),
+         message(6, "B", 1, signal("M M", 0, 2), signal("P m0", 2, 3), signal("Q m1", 3, 3)),
+         message(7, "C", 8, signal("R", 7, 12, order=0), signal("S", 12, 2))],
+        ["A.Z: does not fit in 2 bytes (line 10)", "A: X and Y overlap (line 7)",
+         "A: Y and Z overlap (line 7)", "C: R and S overlap (line 17)"],
+        id="all overlaps and misfits, not only the first",
+    ),
+    pytest.param(
+        [message(5, "A", 10**12, signal("X", 0, 10**12), signal("Y", 10**12, 8)),
+         message(6, "B", 65), "SG_MUL_VAL_ 5 X Y 0-4294967295;", 'BA_DEF_ "Hash" STRING;',
+         'BA_ "Hash" "1e4000";', 'BA_DEF_ "N" INT 0 1E999999999;'],
+        ["line 7: A: 1000000000000 bytes; CAN FD has 64",
+         "line 8: X: 1000000000000 bits; 1 to 64 are possible",
+         "line 9: Y: starts at bit 1000000000000 of 512", "line 11: B: 65 bytes; CAN FD has 64",
+         "line 13: multiplexer values above 65535", "line 16: a number with more than 300 digits"],
+        id="numbers that no frame has, before cantools looks for memory for them",
+    ),
+    pytest.param(
+        [message(5, "A", 1), message(6, "B", 8, signal("Crc", 16, 8), signal("Data", 4, 12)),
+         message(7, "C", 8), message(0x90000000, "D", 8), message(8, "E", 8),
+         'BA_DEF_ BO_ "E2EProfile" ENUM "None","P02","P05","P11";',
+         'BA_DEF_ BO_ "E2EDataId" INT 0 4294967295;', 'BA_DEF_DEF_ "E2EProfile" "P02";',
+         'BA_DEF_DEF_ "E2EDataId" 0;', 'BA_ "E2EProfile" BO_ 7 3;',
+         'BA_ "E2EProfile" BO_ 2415919104 2;', 'BA_ "E2EProfile" BO_ 8 0;'],
+        ["A: 1 bytes have no room for the P02 header", "B.Data: lies in the P02 header",
+         "B.Crc: P02 has it at 0|8@1+", "C: E2EProfile 'P11'; known: None, P02, P05",
+         "D: E2EDataId 268435456 does not fit in 16 bits"],
+        id="protection attributes",
+    ),
+    pytest.param(
+        [message(5, "A", 8), message(6, "B", 8), 'BA_DEF_ BO_ "GenMsgCycleTime" STRING;',
+         'BA_DEF_DEF_ "GenMsgCycleTime" "soon";', 'BA_ "GenMsgCycleTime" BO_ 5 "";'],
+        ["B: GenMsgCycleTime 'soon' is not a time in ms"],
+        id="a cycle time that is no time",
+    ),
+    pytest.param(
+        [message(5, "A", 8, signal("X", 0, 16, "-"), signal("Z", 32, 8, rest='(0,0) [0|0] ""')),
+         "SIG_VALTYPE_ 5 X : 1;"],
+        ["A.X: a float of 16 bits is not supported", "A.Z: scale 0, offset 0 cannot be inverted"],
+        id="half floats and a scale of zero",
+    ),
+])  # fmt: skip
+def test_what_a_file_must_not_have_is_listed(tmp_path, parts, problems):
+    path = write(tmp_path / "a.dbc", *parts)
+    assert list(problems_of(path, (), ANY)) == problems
 
 
 def test_data_ids_by_rule_by_id_and_by_list(tmp_path):
@@ -290,18 +269,6 @@ def test_every_unused_value_table_has_its_line(tmp_path):
     assert second.startswith("VAL_ 2 x: ")
 
 
-def test_cycle_time_that_is_no_time(tmp_path):
-    path = write(
-        tmp_path / "cycle.dbc",
-        message(5, "A", 8),
-        message(6, "B", 8),
-        'BA_DEF_ BO_ "GenMsgCycleTime" STRING;',
-        'BA_DEF_DEF_ "GenMsgCycleTime" "soon";',
-        'BA_ "GenMsgCycleTime" BO_ 5 "";',
-    )
-    assert problems_of(path, (), ANY) == ("B: GenMsgCycleTime 'soon' is not a time in ms",)
-
-
 def test_files_that_are_no_dbc(tmp_path):
     assert problems_of(tmp_path / "none.dbc") == ("no such file",)
     (problem,) = problems_of(tmp_path)
@@ -321,15 +288,3 @@ def test_foreign_file_without_messages_binds_to_nothing():
     codec = bind(FOREIGN / "cantools_cp1252.dbc", (), ANY)
     assert codec.messages == ()
     assert codec.width == 0
-
-
-def test_half_floats_and_zero_scale_are_refused(tmp_path):
-    path = write(
-        tmp_path / "odd.dbc",
-        message(5, "A", 8, signal("X", 0, 16, "-"), signal("Z", 32, 8, rest='(0,0) [0|0] ""')),
-        "SIG_VALTYPE_ 5 X : 1;",
-    )
-    assert problems_of(path, (), ANY) == (
-        "A.X: a float of 16 bits is not supported",
-        "A.Z: scale 0, offset 0 cannot be inverted",
-    )

@@ -66,10 +66,7 @@ BAD = {
         *b"45123#81:00:af#00 45123#81:00:12345678#".split(),
         *(b"123#00" + end for end in (b" X", b" R T", b"\xff", b"\0\0\0")),
     ],
-    V.BAD_LENGTH: [
-        b"123#112233445566778899",
-        *(b"123##1" + b"00" * size for size in (9, 63, 100)),
-    ],
+    V.BAD_LENGTH: [b"123#112233445566778899", *(b"123##1" + b"00" * size for size in (9, 63, 100))],
 }
 BAD_ONES = [(body, verdict) for verdict, bodies in BAD.items() for body in bodies]
 LINES = [
@@ -462,27 +459,15 @@ def test_how_lines_are_written():
 @pytest.mark.parametrize(
     "impossible",
     [
-        Frame(-1, 1),
-        Frame(9_000_000_000_000_000_000, 1),
-        Frame(0, -1),
-        Frame(0, 0x800),
-        Frame(0, 0x20000000, flags=EXTENDED),
-        Frame(0, 0x20000000, flags=ERROR),
-        Frame(0, 1, bytes(9)),
-        Frame(0, 1, bytes(9), FD),
-        Frame(0, 1, bytes(7), dlc=9),
-        Frame(0, 1, bytes(8), dlc=16),
-        Frame(0, 1, b"\1", REMOTE),
-        Frame(0, 1, b"", REMOTE, dlc=16),
-        Frame(0, 1, b"", REMOTE | FD),
-        Frame(0, 1, b"", ERROR | REMOTE),
-        Frame(0, 1, b"", ERROR | EXTENDED),
-        Frame(0, 1, b"", BRS),
-        Frame(0, 1, channel="two words"),
-        Frame(0, 1, channel="x" * 22),
-        Frame(0, 1, channel="a\nb"),
+        Frame(-1, 1), Frame(9_000_000_000_000_000_000, 1), Frame(0, -1), Frame(0, 0x800),
+        Frame(0, 0x20000000, flags=EXTENDED), Frame(0, 0x20000000, flags=ERROR),
+        Frame(0, 1, bytes(9)), Frame(0, 1, bytes(9), FD), Frame(0, 1, bytes(7), dlc=9),
+        Frame(0, 1, bytes(8), dlc=16), Frame(0, 1, b"\1", REMOTE), Frame(0, 1, b"", REMOTE, dlc=16),
+        Frame(0, 1, b"", REMOTE | FD), Frame(0, 1, b"", ERROR | REMOTE),
+        Frame(0, 1, b"", ERROR | EXTENDED), Frame(0, 1, b"", BRS), Frame(0, 1, channel="two words"),
+        Frame(0, 1, channel="x" * 22), Frame(0, 1, channel="a\nb"),
     ],
-)
+)  # fmt: skip
 def test_what_no_line_can_say_is_refused(impossible):
     with pytest.raises(ValueError, match="cannot be written"):
         format_frame(impossible)

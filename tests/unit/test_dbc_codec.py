@@ -30,15 +30,9 @@ def place(raw, start, length, size=8):
 
 # The contract's "Not available" paragraph, raw value by raw value.
 SIGNED_16 = [
-    (32767, NOT_AVAILABLE),
-    (32766, SATURATED),
-    (32765, VALID),
-    (0, VALID),
-    (-32765, VALID),
-    (-32766, SATURATED),
-    (-32767, RANGE),
-    (-32768, RANGE),
-]
+    (32767, NOT_AVAILABLE), (32766, SATURATED), (32765, VALID), (0, VALID), (-32765, VALID),
+    (-32766, SATURATED), (-32767, RANGE), (-32768, RANGE),
+]  # fmt: skip
 UNSIGNED_16 = [(0xFFFF, NOT_AVAILABLE), (0xFFFE, VALID), (0, VALID)]
 TEMPERATURE = [(0xFFF, NOT_AVAILABLE), (3601, RANGE), (3600, VALID), (0, VALID), (0xFFE, RANGE)]
 CASES = [
@@ -48,32 +42,23 @@ CASES = [
     ("Drive1_Status", "Irms", 16, 16, UNSIGNED_16),
     ("Drive1_Motion", "Torque", 48, 16, SIGNED_16),
     (
-        "Drive1_Motion",
-        "Speed",
-        16,
-        16,
+        "Drive1_Motion", "Speed", 16, 16,
         [(32767, NOT_AVAILABLE), (32001, RANGE), (31999, VALID), (-31999, VALID), (-32001, RANGE)],
     ),
     (
-        "Drive1_Motion",
-        "ElectricalAngle",
-        32,
-        16,
+        "Drive1_Motion", "ElectricalAngle", 32, 16,
         [(0xFFFF, NOT_AVAILABLE), (36000, RANGE), (35999, VALID), (0, VALID)],
     ),
     ("Drive1_Temperatures", "Tstator", 16, 12, TEMPERATURE),
     ("Drive1_Temperatures", "Tambient", 52, 12, TEMPERATURE),
     (
-        "Drive1_PhaseCurrents",
-        "Quality",
-        12,
-        4,
+        "Drive1_PhaseCurrents", "Quality", 12, 4,
         [(15, NOT_AVAILABLE), (0, VALID), (1, VALID), (2, VALID), (3, RANGE), (14, RANGE)],
     ),
     ("Gateway_Adhesion", "Adhesion1", 16, 2, [(0, VALID), (1, VALID), (2, VALID), (3, RANGE)]),
     ("Gateway_Adhesion", "Age", 56, 8, [(255, NOT_AVAILABLE), (254, VALID), (0, VALID)]),
     ("Gateway_Status", "BusLoad", 52, 7, [(127, NOT_AVAILABLE), (100, VALID), (101, RANGE)]),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "column", "start", "length", "raws"), CASES)
@@ -93,13 +78,9 @@ def test_validity_is_judged_on_raw_values(codec, name, column, start, length, ra
 def test_samples_of_a_fd_frame(fd_codec):
     spec = fd_codec.by_name["Drive16_Samples"]
     signed_14 = [
-        (0x1FFF, NOT_AVAILABLE),
-        (8190, SATURATED),
-        (8189, VALID),
-        (-8190, SATURATED),
-        (-8191, RANGE),
-        (-8192, RANGE),
-    ]
+        (0x1FFF, NOT_AVAILABLE), (8190, SATURATED), (8189, VALID), (-8190, SATURATED),
+        (-8191, RANGE), (-8192, RANGE),
+    ]  # fmt: skip
     for k in range(8):
         for j, name in enumerate(("Ia", "Ib", "Ualpha", "Ubeta")):
             for raw, wanted in signed_14:

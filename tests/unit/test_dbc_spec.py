@@ -24,31 +24,18 @@ FLOAT = SignalSpec("F", 0, 32, is_float=True, is_signed=True, scale=0.5, offset=
 @pytest.mark.parametrize(
     ("signal", "raw", "validity"),
     [
-        (SIGNED, 0, Validity.VALID),
-        (SIGNED, -99, Validity.VALID),
-        (SIGNED, 89, Validity.VALID),
-        (SIGNED, -100, Validity.SATURATED),
-        (SIGNED, 90, Validity.SATURATED),
-        (SIGNED, -101, Validity.RANGE),
-        (SIGNED, 91, Validity.RANGE),
-        (SIGNED, int("-128"), Validity.NOT_AVAILABLE),
-        (UNSIGNED, 1, Validity.VALID),
-        (UNSIGNED, 250, Validity.VALID),
-        (UNSIGNED, 0, Validity.RANGE),
-        (UNSIGNED, 251, Validity.RANGE),
-        (UNSIGNED, 255, Validity.NOT_AVAILABLE),
-        (PLAIN, -5, Validity.VALID),
-        (PLAIN, 5, Validity.VALID),
-        (PLAIN, 6, Validity.RANGE),
-        (FLOAT, -8.0, Validity.VALID),
-        (FLOAT, 8.0, Validity.VALID),
-        (FLOAT, 1.0, Validity.VALID),
-        (FLOAT, -8.01, Validity.RANGE),
-        (FLOAT, 8.01, Validity.RANGE),
-        (FLOAT, float("nan"), Validity.NOT_A_NUMBER),
-        (FLOAT, float("inf"), Validity.NOT_A_NUMBER),
+        (SIGNED, 0, Validity.VALID), (SIGNED, -99, Validity.VALID), (SIGNED, 89, Validity.VALID),
+        (SIGNED, -100, Validity.SATURATED), (SIGNED, 90, Validity.SATURATED),
+        (SIGNED, -101, Validity.RANGE), (SIGNED, 91, Validity.RANGE),
+        (SIGNED, int("-128"), Validity.NOT_AVAILABLE), (UNSIGNED, 1, Validity.VALID),
+        (UNSIGNED, 250, Validity.VALID), (UNSIGNED, 0, Validity.RANGE),
+        (UNSIGNED, 251, Validity.RANGE), (UNSIGNED, 255, Validity.NOT_AVAILABLE),
+        (PLAIN, -5, Validity.VALID), (PLAIN, 5, Validity.VALID), (PLAIN, 6, Validity.RANGE),
+        (FLOAT, -8.0, Validity.VALID), (FLOAT, 8.0, Validity.VALID), (FLOAT, 1.0, Validity.VALID),
+        (FLOAT, -8.01, Validity.RANGE), (FLOAT, 8.01, Validity.RANGE),
+        (FLOAT, float("nan"), Validity.NOT_A_NUMBER), (FLOAT, float("inf"), Validity.NOT_A_NUMBER),
     ],
-)
+)  # fmt: skip
 def test_a_raw_value_says_what_it_is(signal, raw, validity):
     one = MessageSpec("M", 1, 8, False, False, 0, Profile.NONE, b"", (signal,), 0, 0, "M")
     data = struct.pack("<f", raw) if signal.is_float else (raw & 0xFF).to_bytes(1, "little")

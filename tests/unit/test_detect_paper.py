@@ -560,13 +560,8 @@ def test_global_estimates_of_all_four_methods():
 def test_names_and_codes():
     codes = {name: kind.code for name, kind in (DETECTORS | WITH_MEMORY).items()}
     those_of_the_papers = {
-        "vb": 1,
-        "median": 4,
-        "kmeans": 3,
-        "vmp": 2,
-        "paper_vb": 1,
-        "paper_vb_reuse": 1,
-    }
+        "vb": 1, "median": 4, "kmeans": 3, "vmp": 2, "paper_vb": 1, "paper_vb_reuse": 1,
+    }  # fmt: skip
     assert those_of_the_papers.items() <= codes.items()
 
 

@@ -37,19 +37,14 @@ def running(**sections):
 @pytest.mark.parametrize(
     ("frame", "is_ours"),
     [
-        (Frame(0, OWN, b""), True),
-        (Frame(0, OWN, bytes(8)), True),
-        (Frame(0, OWN, bytes(64), FD), True),
-        (Frame(0, 0x720, b"\x05"), True),
-        (Frame(0, 0x0A0, bytes(8)), True),
-        (Frame(0, 0x501, bytes(8)), True),
-        (Frame(0, OWN, bytes(8), ERROR), False),
-        (Frame(0, OWN, bytes(8), EXTENDED), False),
-        (Frame(0, OWN, b"", REMOTE, "", 8), False),
-        (Frame(0, 0x721, b"\x05"), False),
+        (Frame(0, OWN, b""), True), (Frame(0, OWN, bytes(8)), True),
+        (Frame(0, OWN, bytes(64), FD), True), (Frame(0, 0x720, b"\x05"), True),
+        (Frame(0, 0x0A0, bytes(8)), True), (Frame(0, 0x501, bytes(8)), True),
+        (Frame(0, OWN, bytes(8), ERROR), False), (Frame(0, OWN, bytes(8), EXTENDED), False),
+        (Frame(0, OWN, b"", REMOTE, "", 8), False), (Frame(0, 0x721, b"\x05"), False),
         (Frame(0, 0x511, bytes(8)), False),
     ],
-)
+)  # fmt: skip
 def test_what_counts_as_a_frame_of_ours(frame, is_ours):
     bench = running()
     view = bench.run(1, lambda frames, now: [*frames, frame._replace(t_ns=now)])

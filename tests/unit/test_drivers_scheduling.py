@@ -54,7 +54,7 @@ def test_what_was_given_from_outside_is_used_and_not_asked_for():
     lines = printed(GIVEN)
     if lines[0].startswith("refused"):
         assert os.geteuid() != 0
-        return
+        pytest.skip("this user may not have a real-time priority")
     for line in lines:
         assert line.startswith("SCHED_FIFO 10 reset on fork, ")
         assert int(line.split()[-3]) > 0, "MiB locked"

@@ -413,9 +413,9 @@ def test_a_stopped_process_is_silent_and_an_ended_one_says_so(listener):
         until(listener, "READY=1")
         until(listener, "WATCHDOG=1", 3)
         process.send_signal(signal.SIGSTOP)
-        time.sleep(0.5)
+        time.sleep(0.3)
         listener.heard()
-        assert listener.heard(1.5) == []
+        assert listener.heard(1.0) == []
         process.send_signal(signal.SIGCONT)
         until(listener, "WATCHDOG=1", 3)
         process.send_signal(signal.SIGTERM)
@@ -433,12 +433,12 @@ def test_a_tick_that_never_ends_lets_the_watchdog_starve(listener):
         until(listener, "READY=1")
         until(listener, "WATCHDOG=1")
         deadline = time.monotonic() + PATIENCE_S
-        while listener.heard(1.5):
+        while listener.heard(0.8):
             assert time.monotonic() < deadline, "it goes on"
         assert process.poll() is None
         # Nor does it end by itself when told to once: that is what SIGKILL and SIGABRT are for.
         process.send_signal(signal.SIGTERM)
-        assert listener.heard(1.0) == []
+        assert listener.heard(0.5) == []
         assert process.poll() is None
     finally:
         process.kill()

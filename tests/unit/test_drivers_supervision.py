@@ -171,15 +171,11 @@ def test_a_request_to_one_who_does_not_answer_ends_no_supervision(watch):
 @pytest.mark.parametrize(
     "frame",
     [
-        Frame(0, 0x701, b""),
-        Frame(0, 0x701, b"\x05\x00"),
-        Frame(0, 0x701, b"\x03"),
-        Frame(0, 0x701, b"\x05", FD),
-        Frame(0, 0x081, bytes(7)),
-        Frame(0, 0x081, bytes(8), FD),
+        Frame(0, 0x701, b""), Frame(0, 0x701, b"\x05\x00"), Frame(0, 0x701, b"\x03"),
+        Frame(0, 0x701, b"\x05", FD), Frame(0, 0x081, bytes(7)), Frame(0, 0x081, bytes(8), FD),
         Frame(0, 0x081, b"", REMOTE, "", 8),
     ],
-)
+)  # fmt: skip
 def test_malformed_ones_are_counted_and_no_sign_of_life(watch, frame):
     assert watch.observe(frame)
     assert watch.malformed == 1
@@ -190,15 +186,11 @@ def test_malformed_ones_are_counted_and_no_sign_of_life(watch, frame):
 @pytest.mark.parametrize(
     "frame",
     [
-        Frame(0, 0x080, b""),
-        Frame(0, 0x703, b"\x05"),
-        Frame(0, 0x720, b"\x05"),
-        Frame(0, 0x181, bytes(8)),
-        Frame(0, 0x701, b"\x05", EXTENDED),
-        Frame(0, 0x081, bytes(8), ERROR),
-        Frame(0, 0x701, bytes(8), ERROR),
+        Frame(0, 0x080, b""), Frame(0, 0x703, b"\x05"), Frame(0, 0x720, b"\x05"),
+        Frame(0, 0x181, bytes(8)), Frame(0, 0x701, b"\x05", EXTENDED),
+        Frame(0, 0x081, bytes(8), ERROR), Frame(0, 0x701, bytes(8), ERROR),
     ],
-)
+)  # fmt: skip
 def test_other_frames_are_left_alone(watch, frame):
     assert not watch.observe(frame)
     assert watch.malformed == 0

@@ -22,22 +22,13 @@ GOOD = [
     Frame(0, 0x000, b"\x01\x02"),
 ]
 BAD = [
-    Frame(0, 0x1A1, bytes(8)),
-    Frame(0, 0x1A0, bytes(7)),
-    Frame(0, 0x1A0, bytes(8), FD),
-    Frame(0, 0x1A0, bytes(8), EXTENDED),
-    Frame(0, 0x1A0, bytes(8), ERROR),
-    Frame(0, 0x1A0, b"", REMOTE, "", 8),
-    Frame(0, 0x501, bytes(64)),
-    Frame(0, 0x000, b"\x01\x00"),
-    Frame(0, 0x000, b"\x01\x03"),
-    Frame(0, 0x000, b"\x02\x01"),
-    Frame(0, 0x000, b"\x81\x01"),
-    Frame(0, 0x000, b"\x01\x01", FD),
-    Frame(0, 0x000, b"\x01\x01\x00"),
-    Frame(0, 0x601, bytes(8)),
+    Frame(0, 0x1A1, bytes(8)), Frame(0, 0x1A0, bytes(7)), Frame(0, 0x1A0, bytes(8), FD),
+    Frame(0, 0x1A0, bytes(8), EXTENDED), Frame(0, 0x1A0, bytes(8), ERROR),
+    Frame(0, 0x1A0, b"", REMOTE, "", 8), Frame(0, 0x501, bytes(64)), Frame(0, 0x000, b"\x01\x00"),
+    Frame(0, 0x000, b"\x01\x03"), Frame(0, 0x000, b"\x02\x01"), Frame(0, 0x000, b"\x81\x01"),
+    Frame(0, 0x000, b"\x01\x01", FD), Frame(0, 0x000, b"\x01\x01\x00"), Frame(0, 0x601, bytes(8)),
     Frame(0, 0x080, b""),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("frame", GOOD)

@@ -34,16 +34,11 @@ def test_known_bytes_both_ways(frame, text):
 @pytest.mark.parametrize(
     "frame",
     [
-        Frame(0, 0x800, b""),
-        Frame(0, -1, b""),
-        Frame(0, 0x2000_0000, b"", EXTENDED),
-        Frame(0, 0x123, bytes(9)),
-        Frame(0, 0x123, bytes(9), FD),
-        Frame(0, 0x123, bytes(65), FD),
-        Frame(0, 0x123, b"", FD | REMOTE),
-        Frame(0, 0x040, bytes(8), ERROR),
+        Frame(0, 0x800, b""), Frame(0, -1, b""), Frame(0, 0x2000_0000, b"", EXTENDED),
+        Frame(0, 0x123, bytes(9)), Frame(0, 0x123, bytes(9), FD), Frame(0, 0x123, bytes(65), FD),
+        Frame(0, 0x123, b"", FD | REMOTE), Frame(0, 0x040, bytes(8), ERROR),
     ],
-)
+)  # fmt: skip
 def test_what_no_bus_carries_is_not_packed(frame):
     assert pack(frame) is None
 
@@ -74,15 +69,12 @@ def test_lengths_beyond_the_structure_cannot_read_outside():
 @pytest.mark.parametrize(
     ("error_class", "detail", "state"),
     [
-        (0x004, 0x04, BusState.WARNING),
-        (0x004, 0x08, BusState.WARNING),
-        (0x004, 0x10, BusState.PASSIVE),
-        (0x204, 0x20, BusState.PASSIVE),
-        (0x004, 0x40, BusState.ACTIVE),
-        (0x040, 0x00, BusState.BUS_OFF),
+        (0x004, 0x04, BusState.WARNING), (0x004, 0x08, BusState.WARNING),
+        (0x004, 0x10, BusState.PASSIVE), (0x204, 0x20, BusState.PASSIVE),
+        (0x004, 0x40, BusState.ACTIVE), (0x040, 0x00, BusState.BUS_OFF),
         (0x100, 0x00, BusState.ACTIVE),
     ],
-)
+)  # fmt: skip
 def test_error_frames_tell_the_bus_state(error_class, detail, state):
     data = bytes((0, detail, 0, 0, 0, 0, 0, 0))
     for before in BusState:

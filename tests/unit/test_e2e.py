@@ -314,13 +314,9 @@ def test_every_verdict_is_counted_once(spec):
 # ---- state machine -----------------------------------------------------------------------------
 
 G, L, E, R, W, N = (
-    Check.OK,
-    Check.OK_SOME_LOST,
-    Check.ERROR,
-    Check.REPEATED,
-    Check.WRONG_SEQUENCE,
+    Check.OK, Check.OK_SOME_LOST, Check.ERROR, Check.REPEATED, Check.WRONG_SEQUENCE,
     Check.NO_NEW_DATA,
-)
+)  # fmt: skip
 
 
 def states(*verdicts):
@@ -332,25 +328,14 @@ def states(*verdicts):
 @pytest.mark.parametrize(
     ("verdicts", "wanted"),
     [
-        ((N, N, E, N), "dddd"),
-        ((G, G, G), "ivv"),
-        ((L, L), "iv"),
-        ((R, G, G), "iiv"),
-        ((W, G, G), "iiv"),
-        ((G, E), "ix"),
-        ((E, G), "di"),
-        ((E, G, G), "dix"),
-        ((E, G, G, G, G, G), "dixxxv"),
-        ((G, G, E, G, G), "ivvvv"),
-        ((G, G, G, E, E), "ivvvx"),
-        ((G, G, G, E, G, E), "ivvvvx"),
-        ((G, G, G, G, G, N, N, N, N), "ivvvvvvvx"),
-        ((G, G, G, G, G, R, R, R, R), "ivvvvvvvx"),
-        ((G, G, G, G, G, W, W, W, W), "ivvvvvvvx"),
-        ((G, G, G, E, E, G, G, G, G, G), "ivvvxxxxxv"),
-        ((G, N, N, N, N, N, N), "iiiiiii"),
+        ((N, N, E, N), "dddd"), ((G, G, G), "ivv"), ((L, L), "iv"), ((R, G, G), "iiv"),
+        ((W, G, G), "iiv"), ((G, E), "ix"), ((E, G), "di"), ((E, G, G), "dix"),
+        ((E, G, G, G, G, G), "dixxxv"), ((G, G, E, G, G), "ivvvv"), ((G, G, G, E, E), "ivvvx"),
+        ((G, G, G, E, G, E), "ivvvvx"), ((G, G, G, G, G, N, N, N, N), "ivvvvvvvx"),
+        ((G, G, G, G, G, R, R, R, R), "ivvvvvvvx"), ((G, G, G, G, G, W, W, W, W), "ivvvvvvvx"),
+        ((G, G, G, E, E, G, G, G, G, G), "ivvvxxxxxv"), ((G, N, N, N, N, N, N), "iiiiiii"),
     ],
-)
+)  # fmt: skip
 def test_paths_through_the_states(verdicts, wanted):
     assert states(*verdicts) == wanted
 

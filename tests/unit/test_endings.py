@@ -133,7 +133,7 @@ def test_what_a_signal_ends_says_so_and_leaves_nothing_half_written(inputs, tmp_
 def test_a_signal_ends_what_computes(inputs, tmp_path, name, number):
     process = start(placed(COMPUTING[name], inputs, tmp_path))
     # MF4 keeps what its clock allows, one member of all these: it is at its end soon.
-    soon, late = (0.2, 0.9) if name == "convert-mf4" else (1.0, 4.0)
+    soon, late = (0.2, 0.9) if name == "convert-mf4" else (0.8, 2.0)
     time.sleep(random.Random(f"{name} {number}").uniform(soon, late))
     code, errors = ended(process, number)
     assert code == 128 + number, errors

@@ -75,25 +75,22 @@ def load_errors(w, every, kind="ekf", theta_var=THETA_VAR, **wrong):
     return np.array(errors), np.array(loads)
 
 
-@pytest.mark.parametrize("kind", ["ekf", "ukf"])
-@pytest.mark.parametrize(
-    ("every", "w", "bound"),
-    [
-        (16, 50.0, 0.75),
-        (16, 100.0, 0.75),
-        (16, -200.0, 0.75),
-        (16, 300.0, 0.77),
-        (16, 600.0, 0.80),
-        (16, -1000.0, 0.90),
-        (1, 50.0, 0.75),
-        (1, 100.0, 0.75),
-        (1, -200.0, 0.75),
-        (1, 300.0, 0.75),
-        (1, 1000.0, 0.75),
-        (1, -3000.0, 0.95),
-        (1, 5000.0, 1.75),
-    ],
-)
+BOUNDS = {
+    16: {50.0: 0.75, 100.0: 0.75, -200.0: 0.75, 300.0: 0.77, 600.0: 0.80, -1000.0: 0.90},
+    1: {
+        50.0: 0.75, 100.0: 0.75, -200.0: 0.75, 300.0: 0.75, 1000.0: 0.75, -3000.0: 0.95,
+        5000.0: 1.75,
+    },
+}  # fmt: skip
+"""Nm, by sub-steps per sample and electrical speed."""
+
+
+@pytest.mark.parametrize(("every", "w", "bound", "kind"), [
+    pytest.param(every, w, bound, kind, marks=[pytest.mark.thorough] * ((k + j) % 2))
+    for every, bounds in BOUNDS.items()
+    for k, (w, bound) in enumerate(bounds.items())
+    for j, kind in enumerate(("ekf", "ukf"))
+])  # fmt: skip
 def test_load_error(every, w, bound, kind):
     assert load_rmse(w, every, kind) < bound
 

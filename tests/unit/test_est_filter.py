@@ -1,5 +1,6 @@
 """The filters equal the reference with any registers, and what they do with bad samples."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -49,10 +50,8 @@ def twin(kind, c):
     x, P = c.x.copy(), c.P.copy()
     r = c.rows
     samples = (r.drive, r.u, r.y, r.n_sub, r.n_gap, SUB_STEP_S)
-    if kind == "ekf":
-        nis, ok = ekf.sweep(c.par, c.noise, x, P, *samples, lean=c.lean)
-    else:
-        nis, ok = ukf.sweep(c.par, c.noise, x, P, *samples, kappa=filters.KAPPA, lean=c.lean)
+    prior = partial(ukf.predict, kappa=filters.KAPPA) if kind == "ukf" else None
+    nis, ok = ekf.sweep(c.par, c.noise, x, P, *samples, lean=c.lean, prior=prior)
     return x, P, nis, ok
 
 

@@ -443,7 +443,7 @@ def test_a_local_process_that_dask_gave_up_is_started_again():
 def test_a_command_that_is_killed_leaves_no_process_and_goes_on_where_it_was(logs, ran, tmp_path):
     folder, out = tmp_path / "logs", tmp_path / "out"
     folder.mkdir()
-    for k in range(40):
+    for k in range(16):
         os.link(logs / "logs" / "good.log", folder / f"{k}.log")
     words = ["fleet", str(folder), "-o", str(out), "-j", "1"]
     with subprocess.Popen([sys.executable, "-m", "gateway", *words]) as command:
@@ -457,7 +457,7 @@ def test_a_command_that_is_killed_leaves_no_process_and_goes_on_where_it_was(log
     assert main(words) == 0
     table = rows(out)
     files = {out / row["file"] for row in table}
-    assert [row["status"] for row in table] == [DONE] * 40
+    assert [row["status"] for row in table] == [DONE] * 16
     assert files == {path for path in (out / FOLDER).iterdir() if path.is_file()}
     assert {path: path.stat().st_mtime_ns for path in before} == before
     wanted = pq.read_table(ran / rows(ran)[1]["file"])

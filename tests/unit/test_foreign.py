@@ -76,7 +76,7 @@ def played(gateway, frames):
     return out
 
 
-@pytest.mark.parametrize("cycle", [2, 4, 10])
+@pytest.mark.parametrize("cycle", [2, pytest.param(4, marks=pytest.mark.thorough), 10])
 @pytest.mark.parametrize("form", FORMS)
 def test_a_lost_wheel_is_found_through_foreign_messages(tmp_path, train, form, cycle):
     config = mapped(tmp_path, form, cycle)

@@ -1,5 +1,7 @@
 """The words of the message set are those of the DBC, number by number."""
 
+from functools import cache
+
 import cantools
 import numpy as np
 import pytest
@@ -29,9 +31,13 @@ PLACES = (
 NOT_AVAILABLE = 15
 
 
+@cache
+def database(file):
+    return cantools.database.load_file(shipped_dbc(file))
+
+
 def choices(file, message, signal):
-    database = cantools.database.load_file(shipped_dbc(file))
-    found = database.get_message_by_name(message).get_signal_by_name(signal).choices
+    found = database(file).get_message_by_name(message).get_signal_by_name(signal).choices
     return {number: str(name) for number, name in found.items()}
 
 

@@ -18,6 +18,8 @@ from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, motor, sam
 
 ANGLES = np.linspace(-np.pi, np.pi, 36, endpoint=False)
 STARTS = 40
+SOME = (0, 7, 14, 21)
+"""For a change: two that roll, two that stand."""
 TURNED = 10
 """Each start's angles are a degree from those of the one before, so that all 360 are tried."""
 TICK = 80
@@ -88,7 +90,7 @@ def followed(kind, truth, every, seed):
 
 @pytest.mark.parametrize("every", [16, 1])
 @pytest.mark.parametrize("seed", [
-    pytest.param(seed, marks=[pytest.mark.thorough] * (seed % 7 != 0)) for seed in range(STARTS)
+    pytest.param(seed, marks=[pytest.mark.thorough] * (seed not in SOME)) for seed in range(STARTS)
 ])  # fmt: skip
 @pytest.mark.parametrize("name", KINDS)
 def test_forty_starts_from_every_degree(name, seed, every):

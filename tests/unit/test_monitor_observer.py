@@ -287,15 +287,15 @@ def test_memory_is_bounded_whatever_comes(run, monkeypatch):
 
 
 def test_a_long_silence_is_skipped_and_gives_what_waiting_gives(run):
-    later = [f._replace(t_ns=f.t_ns + 3_600_000 * MS) for f in run.frames]
+    later = [f._replace(t_ns=f.t_ns + 600_000 * MS) for f in run.frames]
     patient, hasty = run.observer(), run.observer()
-    a = play(hasty, run.frames + later, later[-1].t_ns, step_ns=3_600_000 * MS)
+    a = play(hasty, run.frames + later, later[-1].t_ns, step_ns=600_000 * MS)
     play(patient, run.frames, END)
-    for minute in range(1, 60):
+    for minute in range(1, 10):
         patient.add_frames((), END + minute * 60_000 * MS)
     b = play(patient, later, later[-1].t_ns)
     assert a == b
-    assert a.t_s == pytest.approx(3603.0, abs=0.02)
+    assert a.t_s == pytest.approx(603.0, abs=0.02)
 
 
 def test_a_copy_goes_its_own_way(run):

@@ -98,7 +98,7 @@ def blocks(depth, seed):
 
 @pytest.mark.parametrize("detector", ["switching", "vb"])
 @pytest.mark.parametrize("depth", [0.95, 0.7])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_torque_that_no_current_makes_is_not_believed(detector, depth, seed):
     core = Gateway(parse({"adhesion": {"detector": detector}}), BOUND, 0)
     said = {node: [] for node in NODES}

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from gateway.cli import main
 from gateway.commands.progress import Progress, stepped, track
-from tests.programs import gateway
 
 ROOT = Path(__file__).parents[2]
 LEFT = re.compile(r"left (?:\x1b\[[\d;]*m)*(?:-:--:--|\d+:\d\d:\d\d)")
@@ -46,8 +46,7 @@ def read(descriptor):
 def folder(tmp_path_factory):
     """With a log of three drives, in which the second loses adhesion."""
     made = tmp_path_factory.mktemp("progress")
-    words = "sim", "demo", "--duration", "5", "-o", "three.log"
-    assert gateway(*words, folder=made).returncode == 0
+    assert main(["sim", "demo", "--duration", "5", "-o", str(made / "three.log")]) == 0
     return made
 
 
@@ -65,15 +64,17 @@ VERBS = {
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_a_terminal_is_told_the_time_left_and_a_pipe_is_not(verb, folder, monkeypatch):
+def test_a_terminal_is_told_the_time_left_and_a_pipe_is_not(verb, folder, monkeypatch, capfd):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    piped = gateway(*VERBS[verb], folder=folder)
-    code, shown = on_terminal(*PROGRAM, *VERBS[verb], cwd=folder)
-    assert code == piped.returncode
-    assert code in (0, 1), piped.stderr
+    monkeypatch.chdir(folder)
+    code = main([*VERBS[verb]])
+    piped = "".join(capfd.readouterr())
+    assert code in (0, 1), piped
+    code_there, shown = on_terminal(*PROGRAM, *VERBS[verb], cwd=folder)
+    assert code_there == code
     assert LEFT.search(shown), shown[-2000:]
-    assert not LEFT.search(piped.stdout + piped.stderr)
-    assert "\x1b" not in piped.stdout + piped.stderr
+    assert not LEFT.search(piped)
+    assert "\x1b" not in piped
 
 
 def test_the_steps_of_a_bar_are_counted_when_they_are_done(monkeypatch, capsys):

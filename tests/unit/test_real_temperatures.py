@@ -102,7 +102,7 @@ def test_sensors_that_hold_for_minutes_are_not_stuck_unlearnt(leg):
     assert not any(kinds(said, k) for k in range(ROLL))
 
 
-@pytest.mark.parametrize("learnt_s", [10.0, 30.0])
+@pytest.mark.parametrize("learnt_s", [10.0, pytest.param(30.0, marks=pytest.mark.thorough)])
 def test_sensors_that_hold_for_minutes_are_not_stuck_by_what_seconds_taught(leg, learnt_s):
     cells = learn_icub(learnt_s)
     stuck = judge(leg, LEG, holding_rule(cells)).kind == FaultClass.SENSOR_STUCK

@@ -3,6 +3,7 @@
 import re
 import struct
 
+import asammdf
 import can
 import numpy as np
 import pytest
@@ -189,7 +190,6 @@ def test_files_that_other_programs_must_convert(tmp_path, name, start, why):
 
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
 def test_an_mdf_of_signals_holds_no_frames(tmp_path, version):
-    asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(version=version) as made:
         made.append([asammdf.Signal(np.arange(5.0), np.arange(5.0), name="speed")])
         path = made.save(tmp_path / "a.mf4")

@@ -5,6 +5,7 @@ import lzma
 import zipfile
 from pathlib import Path
 
+import asammdf
 import can
 import numpy as np
 import pytest
@@ -24,7 +25,6 @@ LONG = b"\x12\x34\x56\x78\x90\xab\xcd\xef" * 2
 
 
 def test_an_mf4_whose_columns_are_computed(tmp_path):
-    asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(CANEDGE, process_bus_logging=False) as source:
         old = source.get("CAN_DataFrame", 0)
         fields = {name: old.samples.dtype[name] for name in old.samples.dtype.names}

@@ -29,7 +29,9 @@ def test_wheels_with_the_inertia_of_a_locomotive(world, family, seed, f1, adheri
     assert (run.flags.missed, run.flags.dangerous) == (0, 0)
 
 
-@pytest.mark.parametrize("seed", [301, 305, 329, 334, 335])
+@pytest.mark.parametrize("seed", [
+    301, 305, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (329, 334, 335)),
+])  # fmt: skip
 def test_of_two_drives_the_one_that_held_is_not_accused_while_the_other_grips_again(seed):
     """Three times the load for a tenth of a second, while a large inertia gives back its speed."""
     plan = Plan(("roller_two",), ("switching",), (seed,), motor="traction_350kw", world="roller")

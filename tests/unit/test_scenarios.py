@@ -25,9 +25,13 @@ def run(scenario, watch=()):
     return run_virtual(scenario, config, codec, watch)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n in THERMAL else ()) for n in NAMES]
-)
+def marks_of(name):
+    """A change of duty is also in `hot_restart`: before a release only."""
+    thorough = [pytest.mark.thorough] * (name == "duty_change")
+    return [pytest.mark.slow, *thorough] if name in THERMAL else []
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=marks_of(n)) for n in NAMES])
 def test_expectations_hold(name):
     outcome = run(builtin(name))
     assert outcome.verdicts

@@ -86,7 +86,9 @@ def assert_guarded(reasons, what):
 
 @pytest.mark.parametrize("kind", ["classic", "fd"])
 @pytest.mark.parametrize("value", [1.0, 2.0], ids=["equal values", "other values"])
-@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("phase", [
+    pytest.param(phase, marks=[pytest.mark.thorough] * (k % 2)) for k, phase in enumerate(PHASES)
+])  # fmt: skip
 def test_two_senders_are_never_used_whatever_their_counters_and_phase(kind, value, phase):
     for ahead in OFFSETS[kind]:
         line = Line(kind)

@@ -270,7 +270,9 @@ def test_lost_is_what_the_rail_cannot_give_to_the_brake(nm):
 
 
 @pytest.mark.parametrize("name", ["slide_no_limiter", "slide_slow_limiter", "slide_braked"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(k, marks=[pytest.mark.thorough] * (k > 0)) for k in range(3)]
+)
 def test_a_wheel_of_which_nothing_is_lost_does_not_slide(name, seed):
     s = draw(name, seed)
     simulation = Simulation(s, bind(CLASSIC, (1, 2, 3)))

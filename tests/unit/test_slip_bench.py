@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from gateway.hil.slip_score import score
 from sim.physics.plant import DT
 
 
+@cache
 def scored(track: str, controller: str, seed: int = 0):
     return ride(LIBRARY[track], CONTROLLERS[controller](seed), controller).score
 

@@ -110,12 +110,7 @@ def test_a_step_behind_a_gap_of_any_length_equals_the_reference():
 
 
 @pytest.mark.parametrize(
-    ("then", "later", "offset"),
-    [
-        (1.5, 1.5, 0.0),
-        (3.0, 0.8 * 1.5, 0.0),
-        (3.0, 1.0, 1.0),
-    ],
+    ("then", "later", "offset"), [(1.5, 1.5, 0.0), (3.0, 0.8 * 1.5, 0.0), (3.0, 1.0, 1.0)]
 )
 def test_exactly_on_a_limit_it_equals_the_reference(then, later, offset):
     """A step of 1.5 K is none, nor is one that settles at 0.8 of it; an offset of 1 K is one."""

@@ -191,6 +191,13 @@ QUICK = {
     for case in CASES
     if case.filter == "ekf" and case.speed == (290.0 if case.motor == "bench" else 100.0)
 }
+OTHER = {
+    case
+    for k, (fd, motor, kind) in enumerate(product(BUSES, MOTOR_NAMES, KINDS_OF_CURRENT))
+    for name, speed in [[*product(FILTERS, SPEEDS)][k % 6]]
+    for case in [Case(kind, speed, motor, name, fd)]
+}
+"""Each kind on each bus and motor once more, filters and speeds in turn."""
 
 
 def name_of(case):
@@ -198,10 +205,13 @@ def name_of(case):
     return f"{case.kind}-{case.speed:.0f}-{case.motor}-{case.filter}-{bus}"
 
 
-@pytest.mark.parametrize(
-    "case",
-    [pytest.param(c, marks=() if c in QUICK else pytest.mark.slow, id=name_of(c)) for c in CASES],
-)
+def marks_of(case):
+    if case in QUICK:
+        return ()
+    return pytest.mark.slow if case in OTHER else [pytest.mark.slow, pytest.mark.thorough]
+
+
+@pytest.mark.parametrize("case", [pytest.param(c, marks=marks_of(c), id=name_of(c)) for c in CASES])
 def test_wrong_currents_are_unknown_and_never_a_loss(case):
     judged(case)
 
