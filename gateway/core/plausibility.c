@@ -29,6 +29,8 @@ static const struct misfit_rule OF_LOAD = {4, 0};
 /* Largest difference of two loads, per unit of rated torque and of the observed one. */
 #define LOAD_OFF          0.25
 #define LOAD_OFF_RELATIVE 0.3
+/* Square of an innovation of the observer, per variance, above which it still follows a change. */
+#define FOLLOWS_NIS 9.0
 static const int64_t MOTION_HELD_NS = 100 * MS_NS;
 /* Least change of others: a speed, as a share and in rad/s, or the torque command, per unit of
  * rated torque. */
@@ -150,12 +152,14 @@ static void check_crawl(struct motion_monitor *m, int64_t r, int64_t now_ns)
 
 /* ---- A tick ---- */
 
-/* 1 if the load of the filter differs from that of the observer. */
+/* 1 if the load of the filter differs from that of an observer that explains the measured speed: a
+ * wheel that grips again changes its load by more than the observer follows. */
 static int is_load_off(const struct motion_monitor *m, int64_t k)
 {
-    if (!is_tracked(m, k) || !is_observer_settled(&m->motions[k]))
+    const struct load_observer *observer = &m->motions[k].observer;
+    if (!is_tracked(m, k) || !is_observer_settled(&m->motions[k]) || observer->nis > FOLLOWS_NIS)
         return 0;
-    const double observed = m->motions[k].observer.T_L;
+    const double observed = observer->T_L;
     const double limit = LOAD_OFF * m->checks[k].rated_nm + LOAD_OFF_RELATIVE * fabs(observed);
     return fabs(m->estimates[k].load_nm - observed) > limit;
 }

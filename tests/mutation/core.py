@@ -67,6 +67,7 @@ MOTION = ("tests/unit/test_motion_reference.py", *(
         "test_an_angle_that_is_off_for_a_minute_is_the_new_one",
         "test_at_a_crawl_a_motion_that_repeats_for_more_than_two_and_a_half_cycles_accuses_nobody",
         "test_on_its_limits_motion_is_in_order", "test_on_their_limits_command_and_load_fit",
+        "test_a_load_that_its_observer_still_follows_contradicts_no_filter",
         "test_with_fifteen_percent_of_rated_a_current_says_something",
         "test_without_a_motion_the_noise_of_the_filters_speed_changes_no_source",
         "test_a_drive_that_crawls_has_the_load_of_its_motion_and_without_one_that_of_its_filter",

@@ -40,6 +40,7 @@ TORQUE_DOUBT_RELATIVE: Final = 0.15
 """From here on currents are no evidence of a loss."""
 LOAD_OFF: Final = 0.25
 LOAD_OFF_RELATIVE: Final = 0.3
+FOLLOWS_NIS: Final = 9.0
 LOADS_IN_A_ROW: Final = 4
 """The same of two loads; filter and observer follow a loss unlike for up to three readings."""
 STEADY_CYCLES: Final = 2.5
@@ -78,7 +79,7 @@ Flags = NDArray[np.bool_]
 
 _TRACKING = 2  # Health
 _W_E, _THETA = 2, 3  # pmsm
-_OBSERVED_LOAD = 1  # LoadState
+_OBSERVED_LOAD, _NIS = 1, 6  # LoadState
 
 
 class Plausibility(NamedTuple):
@@ -299,8 +300,12 @@ def _count(
 
 
 def _load_off(k: int, load: float, motion: Memory, settled: int, rated: float) -> bool:
-    """Whether the load by the currents is another than that by `Motion`. NaN is not."""
-    if not motion.begun[k] or motion.readings[k] < settled:
+    """Whether the load by the currents is another than that by `Motion`. NaN is not.
+
+    An innovation of more than three standard deviations: the observer still follows a change.
+    """
+    follows = motion.observer[k, _NIS] > FOLLOWS_NIS
+    if not motion.begun[k] or motion.readings[k] < settled or follows:
         return False
     observed = motion.observer[k, _OBSERVED_LOAD]
     return bool(abs(load - observed) > LOAD_OFF * rated + LOAD_OFF_RELATIVE * abs(observed))

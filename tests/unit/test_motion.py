@@ -428,6 +428,19 @@ def test_on_their_limits_command_and_load_fit():
     assert seen == [[0, 0]] * 3 + [[1, 1]]
 
 
+@pytest.mark.parametrize(("nis", "counted"), [(9.0, 1), (9.1, 0)])
+def test_a_load_that_its_observer_still_follows_contradicts_no_filter(nis, counted):
+    """A wheel that grips again carries three times its load at once: the filter is right first."""
+    motion = side()
+    motion.motions["started"], motion.motions["readings"] = 1, 5
+    motion.motions["observer"]["nis"] = nis
+    motion.estimates["health"], motion.status["speed_rad_s"] = Health.TRACKING, 0.0
+    motion.came.tick([(0, 10 * MS, 0.0, 0.0, math.nan)])
+    motion.estimates["load_nm"] = motion.checks["rated_nm"].item()
+    lib.check_plausibility(motion.pointer, 10 * MS)
+    assert motion.checks["load_misfits"].item() == counted
+
+
 @pytest.mark.parametrize(("ampere", "judged"), [(3.0, 1), (2.99, 0)])
 def test_with_fifteen_percent_of_rated_a_current_says_something(ampere, judged):
     """Of a torque that is not sent, and of its angle to one that is."""
