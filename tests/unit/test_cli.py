@@ -215,13 +215,30 @@ def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
     assert main(["calibrate", str(log), "-o", str(cells), "--without-model"]) == 0
     config = tmp_path / "c.toml"
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
-    assert "no thermal model" in capsys.readouterr().out, "seconds are too short for one"
+    said = capsys.readouterr().out
+    assert "no thermal model because the shortest run with all values known has" in said
     assert "no thermal model" in refused("replay", log, "--config", config)
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\nmethod = "maisd"\n')
     assert main(["replay", str(log), "--config", str(config)]) == 0
     out = capsys.readouterr().out
     assert out.count("thermal   NoFault") == 3
     assert " Fault" not in out
+
+
+@pytest.mark.parametrize("to", [("-o", "x.toml", "--without-model"), ("--adhesion",)])
+def test_a_calibration_from_a_damaged_log_is_exit_1(folder, capsys, tmp_path, monkeypatch, to):
+    monkeypatch.chdir(tmp_path)
+    healthy = tmp_path / "h.toml"
+    healthy.write_text('title = "h"\nseed = 3\nduration_s = 61\ndrives = 3\ntraffic = "slow"\n')
+    assert main(["sim", str(healthy), "-o", "h.log"]) == 0
+    lines = (tmp_path / "h.log").read_text().splitlines()
+    assert main(["calibrate", "h.log", *to]) == 0
+    cut = [line[:20] if k % 20 == 7 else line for k, line in enumerate(lines)]
+    (tmp_path / "h.log").write_text("\n".join(cut) + "\n")
+    assert main(["calibrate", "h.log", *to]) == 1
+    assert "5.0 % of the input was dropped, which is more than 1%: malformed" in (
+        capsys.readouterr().err
+    )
 
 
 def test_help_and_version(capsys):
