@@ -203,6 +203,15 @@ def test_check_knows_the_bus_load_of_the_contract(capsys, tmp_path):
     assert "above 80 %" in err
 
 
+@pytest.mark.parametrize(("text", "told"), [("", 1), ("[[drive]]\nnode = 1\n", 0)])
+def test_check_says_which_drives_are_assumed(capsys, tmp_path, text, told):
+    path = tmp_path / "t.toml"
+    path.write_text(text)
+    assert main(["check", str(path), "--no-timing"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("no [[drive]] in it: drives 1, 2, 3 with motor bench") == told
+
+
 def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
     healthy = tmp_path / "h.toml"
     healthy.write_text('title = "h"\nseed = 3\nduration_s = 30\ndrives = 3\ntraffic = "slow"\n')
