@@ -218,8 +218,8 @@ class Mismatch(Strict):
 
     Factors on R_s, L_s and psi_pm, one number or one for each drive. `R_s_within` and the others
     multiply by a factor of 1 +- this value, which the seed draws for each drive. A drive with
-    weaker magnets delivers less torque than commanded, but reports (`Motion.Torque`) the torque that the
-    magnets of the data sheet would give.
+    weaker magnets delivers less torque than commanded, but reports (`Motion.Torque`) the torque
+    that the magnets of the data sheet would give.
     """
 
     R_s: Factors = 1.0
