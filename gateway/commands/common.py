@@ -65,15 +65,21 @@ def refuse_overwriting(options: argparse.Namespace) -> None:
         path = Path(values[key])
         for other, value in values.items():
             for item in value if isinstance(value, list) else [value]:
-                if other != key and isinstance(item, str | Path) and _same_file(path, Path(item)):
+                if other not in (key, "verb") and _same_file(path, item):
                     cure = f"is the file of `{other}` too; name another one for `{key}`"
                     raise ConfigError(str(path), [cure])
 
 
-def _same_file(path: Path, other: Path) -> bool:
+def _same_file(path: Path, other: object) -> bool:
+    """Whether both are one file; text that names no file may be a file's name by chance."""
     if not path.exists():
         return path == other
-    return path.is_file() and other.exists() and path.samefile(other)
+    return (
+        isinstance(other, str | Path)
+        and path.is_file()
+        and Path(other).exists()
+        and path.samefile(other)
+    )
 
 
 def add_duration(parser: argparse.ArgumentParser) -> None:
