@@ -19,6 +19,7 @@ UNITS: Final = {
 _WHOLE: Final = frozenset({"int_parsing", "int_type", "int_from_float"})
 _NUMBER: Final = frozenset({"float_parsing", "float_type"})
 _TABLE: Final = frozenset({"model_type", "model_attributes_type", "dict_type"})
+_LIST: Final = frozenset({"list_type", "tuple_type"})
 _LIMITS: Final = {
     "greater_than_equal": ("at least", "ge"), "greater_than": ("more than", "gt"),
     "less_than_equal": ("at most", "le"), "less_than": ("less than", "lt"),
@@ -62,6 +63,8 @@ def _expected(item: Mapping[str, Any]) -> str | None:
         return f"a number{_unit(item)}"
     if kind in _TABLE:
         return "a table"
+    if kind in _LIST:
+        return "a list"
     if kind in _LIMITS:
         words, key = _LIMITS[kind]
         return f"{words} {context[key]}"
@@ -70,7 +73,6 @@ def _expected(item: Mapping[str, Any]) -> str | None:
         "bool_parsing": "true or false",
         "bool_type": "true or false",
         "string_type": "text in quotes",
-        "list_type": "a list",
         "finite_number": "a finite number",
     }.get(kind)
 
@@ -89,11 +91,13 @@ def _is_key(part: int | str) -> bool:
 
 def _cure(item: Mapping[str, Any]) -> str:
     """What to write instead, where that is not said by what was expected."""
+    path = ".".join(str(part) for part in item["loc"] if isinstance(part, str))
     if item["type"] in _TABLE and not isinstance(item["input"], list):
-        path = ".".join(str(part) for part in item["loc"] if isinstance(part, str))
         return f": write [{path}], and its keys below"
-    if item["type"] == "list_type":
-        return ": write it in [ ], or a table under [[..]]"
+    if item["type"] in _LIST:
+        if isinstance(item["input"], dict):
+            return f": write [[{path}]]"
+        return ": write it in [ ]" + ("" if isinstance(item["input"], str) else f", or [[{path}]]")
     text = item["input"]
     if (
         item["type"] in _WHOLE | _NUMBER

@@ -193,17 +193,17 @@ def _run_command(words: list[str]) -> int:
     command = _module(options.verb)
     options.began_s = BEGAN_S
     options.whole = lambda: _parser(tuple(VERBS), whole=True)
+    from gateway.commands.common import refuse_overwriting
+
     try:
+        refuse_overwriting(options)
         return int(command.run(options))
     except BrokenPipeError:
         raise
     except Exception as error:
         if not _is_users(error):
             raise
-        text = " ".join(str(error).split())
-        if isinstance(error, FileExistsError | NotADirectoryError) and error.filename:
-            what = "File exists" if isinstance(error, FileExistsError) else "is not a folder"
-            text = f"{error.filename}: {what}; name another one"
+        text = " ".join((_of_a_file(error) or str(error)).split())
         text = printable(text, len(text))  # it may quote names of files
         logs.say(text if form == "json" else f"traction-gateway: {text}", form)
         return 2
@@ -217,6 +217,19 @@ def _log_format(words: Sequence[str]) -> str:
     pairs = pairwise(words)
     asked = ("--log-format", "json") in pairs or "--log-format=json" in words
     return "json" if asked else "text"
+
+
+def _of_a_file(error: Exception) -> str:
+    """Message of an OSError about a file: its name, what is wrong, what to do; else empty."""
+    if not isinstance(error, OSError) or not error.filename or not error.strerror:
+        return ""
+    known = {
+        FileExistsError: "File exists; name another one",
+        NotADirectoryError: "is not a folder; name another one",
+        IsADirectoryError: "is a folder; name a file",
+        FileNotFoundError: "no such file or folder",
+    }
+    return f"{error.filename}: {known.get(type(error), error.strerror)}"
 
 
 def _is_users(error: Exception) -> bool:

@@ -70,25 +70,31 @@ class ScenarioError(Exception):
 
 
 class Event(Strict):
-    """One `[[event]]`. Active from `at_s` for `for_s` (to the end when left out).
+    """One `[[event]]`: a fault or a rail condition, from `at_s` for `for_s` (default: to the end).
 
-    - `adhesion_loss` `depth`: the rail carries (1 - depth) of what is asked of the wheel; `ramp_s`
-      makes both edges linear, inside the event
-    - `rail` `value` "dry" | "wet" | "leaves" or a friction coefficient
-    - `overheating` `value` W more in the winding, or `depth` x rated copper loss
-    - `cooling_loss` `depth`: share of the air cooling lost (the last tenth always stays)
-    - `bearing` `value` W more friction, or `depth` x 60 W; `sensor` names the end
-    - `sensor_bias` `value` K (A for `sensor = "current"`, in phase a), `sensor_stuck`,
-      `sensor_lost` (not-available code): `sensor`, default the stator's
-    - `silent`: the drive sends nothing, heartbeat included, and receives nothing
-    - `frame_loss` `depth`: probability that a frame is lost
-    - `corrupt` `depth`: probability that 1 to 3 bits flip after the checksum was made
-    - `phase_open`: phase a carries no current (begins and ends on a grid of 10 ms); the drive does
-      not detect it, goes on and reports the voltage that it commands
-    - `friction_brake` `value` Nm at the motor's shaft, or `depth` x rated torque: brakes the wheel
-      beside the motor and can lock it; `ramp_s` as above; in steps of 10 ms. While the brakes of
-      all drives are applied, the motors coast (traction interlock: the demand falls to 0 within
-      150 ms). A brake on only some drives drags: the driver does not know of it
+    Most kinds need `depth`, a fraction (90 % is 0.9), or `value`:
+
+    - `adhesion_loss`, `depth`: the rail carries (1 - depth) of the torque that the drive demands of
+      the wheel. `ramp_s`: the loss begins and ends as a ramp of this duration, inside the event
+    - `rail`, `value`: "dry", "wet", "leaves" or a friction coefficient
+    - `overheating`, `value`: additional losses in the winding, W; or `depth` of rated copper loss
+    - `cooling_loss`, `depth`: fraction of the air cooling that is lost (a tenth always remains)
+    - `bearing`, `value`: additional friction losses, W; or `depth` of 60 W (more for a larger
+      motor). `sensor`: `drive_end` (default) or `non_drive_end`
+    - `sensor_bias`, `value`: offset of the reading, K (of the current in phase a, A, with
+      `sensor = "current"`). `sensor_stuck`: the reading does not change. `sensor_lost`: the drive
+      sends the not-available code. All three: `sensor`, by default `stator`
+    - `silent`: the drive sends nothing, not even a heartbeat, and receives nothing
+    - `frame_loss`, `depth`: probability that a frame is lost
+    - `corrupt`, `depth`: probability that 1 to 3 bits of a frame change after its checksum was
+      computed
+    - `phase_open`: phase a carries no current. The drive does not detect it, and reports the
+      voltage that it commands. It begins and ends at a multiple of 10 ms
+    - `friction_brake`, `value`: torque of the brake at the motor's shaft, Nm; or `depth` of rated
+      torque. The brake acts in addition to the motor, in steps of 10 ms, and can lock the wheel;
+      `ramp_s` as above. While the brakes of all drives are applied, the motors coast: an interlock
+      reduces the demand to 0 within 150 ms. If only some drives brake, their brakes drag: the
+      demand does not change
     """
 
     at_s: Time
@@ -155,10 +161,14 @@ class Event(Strict):
 class Expect(Strict):
     """One `[[expect]]`: the expected state of a flag.
 
-    Between `after_s` and `after_s` + `within_ms` the flag is seen as `is_`; without `within_ms` at
-    any time from `after_s` on; with `never = true` at no time from `after_s` on.
+    - With `within_ms`: the flag must be in the state `is` at some time from `after_s` until
+      `within_ms` later. A flag that is in this state before meets the expectation at once, after
+      0 ms.
+    - Without `within_ms`: at some time from `after_s` on.
+    - With `never = true`: at no time from `after_s` on.
+
     `drive = "others"`: all drives that no event names. `common_mode`, `comm` and `sensor` are flags
-    of the whole train.
+    of the whole train: leave `drive` out.
 
     A flag that stays unknown proves nothing: `never` bad fails unless the flag was known at some
     time from `after_s` on, `never` good unless it was known at some time of the run. Unknown can be
@@ -190,19 +200,22 @@ class Expect(Strict):
 class Scenario(Strict):
     """A whole scenario."""
 
-    title: Annotated[str, AfterValidator(printable)]
+    title: Annotated[str, AfterValidator(printable)] = Field(description="Name in all reports.")
     """Control characters in it are escaped: it goes to terminals, HTML and JUnit."""
-    seed: Annotated[int, within(0, 2**64 - 1, "", "a whole number of 64 bits")] = 1
+    seed: Annotated[int, within(0, 2**64 - 1, "", "a whole number of 64 bits")] = Field(
+        1, description="Of everything random. The same seed gives the same run."
+    )
     duration_s: Annotated[float, within(0.01, 1e7, "s", "a tick is 0.01 s")]
-    drives: int = Field(3, ge=1, le=MAX_DRIVES)
+    drives: int = Field(3, ge=1, le=MAX_DRIVES, description="Simulated drives, numbered from 1.")
     traffic: Literal["full", "slow"] = Field(
         "full",
-        description='"slow": only Motion, Status, Temperatures, from a quasi-static plant.',
+        description='"slow": the drives send only Motion, Status and Temperatures, and their '
+        "motors are simulated in the steady state. For runs of hours.",
     )
     slip_limiter: Literal["none", "slow", "fast"] = Field(
         "fast",
-        description="The drives' own slip control, on the rail: fast holds a wheel at 5 % creep "
-        "within milliseconds, slow at 15 % after half a second, none lets it run away.",
+        description="The drives' own slip control: fast holds a wheel at 5 % creep within "
+        "milliseconds; slow at 15 % after half a second; none lets it run away.",
     )
     event: list[Event] = Field(default_factory=list)
     expect: list[Expect] = Field(default_factory=list)

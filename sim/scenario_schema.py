@@ -43,10 +43,10 @@ class Strict(BaseModel):
 
 
 class MotorChoice(Strict):
-    """`[motor]`: `name`, one of `sim.physics.plant.MOTORS`, or a machine's own parameters.
+    """`[motor]`: `name` (bench, large or traction_350kw), or the parameters of another motor.
 
-    Those are in SI units, at the motor's shaft; `U_dc` is the voltage of the dc link. All but `B`
-    (friction) and `k_p` are needed.
+    The parameters are in SI units, at the motor's shaft. `U_dc` is the voltage of the dc link, `B`
+    the viscous friction. All but `B` and `k_p` are needed.
     """
 
     name: str = "bench"
@@ -96,7 +96,11 @@ class MotorChoice(Strict):
 
 
 class Disturbance(Strict):
-    """`[[load.disturbance]]`, preset loads only: minus `amplitude_nm` x sin over half a period."""
+    """`[[load.disturbance]]`, only with `kind = "preset"`: a load that falls and returns.
+
+    Half a period of a sine with this amplitude is subtracted from the drive's load, from `at_s` for
+    `for_s`.
+    """
 
     drive: int = Field(ge=1)
     at_s: Time
@@ -105,9 +109,9 @@ class Disturbance(Strict):
 
 
 class Curve(Strict):
-    """`[[load.curve]]`: a healthy drive whose share of the load swells and returns, as in a curve.
+    """`[[load.curve]]`: a healthy drive whose share of the load rises and returns, as in a curve.
 
-    Its share is multiplied by 1 + `amount` x sin over half a period, in steps of 10 ms.
+    Its share is multiplied by 1 + `amount` times half a period of a sine, in steps of 10 ms.
     """
 
     drive: int = Field(ge=1)
@@ -119,16 +123,18 @@ class Curve(Strict):
 class Load(Strict):
     """`[load]`: what the drives work against.
 
-    `kind = "rail"`: `torque_nm` is the train's resistance per drive (gradient and running
-    resistance). `kind = "preset"`: it is each drive's healthy load. `profile` = [[t_s, Nm], ...]
-    replaces it; between the points linear, or with `transition = "normal_cdf"` steps smoothed by
-    the normal distribution with standard deviation `smooth_s`. `rail`: condition at the start.
-
-    `share`: what falls to each drive permanently, 1 = as the train demands (one number or one per
-    drive). With a preset load this scales its load; on the rail, its axle load and the torque that
-    it delivers. The command that it reports is still the train's. `wheel`: wheel diameters, 1 =
-    nominal; a smaller one turns faster. `*_within` multiplies by a factor within 1 +- its value,
-    drawn per drive from the seed.
+    - `kind = "rail"`: `torque_nm` is the train's resistance for each drive (gradient and running
+      resistance). `kind = "preset"`: it is the load of each drive without a fault.
+    - `profile` = [[t_s, Nm], ...] replaces `torque_nm`. It is linear between the points; with
+      `transition = "normal_cdf"` it has steps instead, smoothed by a normal distribution with the
+      standard deviation `smooth_s`.
+    - `rail`: the condition at the start, "dry", "wet", "leaves" or a friction coefficient.
+    - `share`: the constant share of each drive, 1 = as demanded; one number, or one for each drive.
+      With a preset load it scales the load. On the rail it scales the axle load and the torque
+      that the drive delivers; the command that the drive reports is that of the train.
+    - `wheel`: the wheel diameters, 1 = nominal. A smaller wheel turns faster.
+    - `share_within`, `wheel_within`: multiply by a factor of 1 +- this value, which the seed draws
+      for each drive.
     """
 
     kind: Literal["rail", "preset"] = "rail"
@@ -166,11 +172,12 @@ class Load(Strict):
 
 
 class Motion(Strict):
-    """`[motion]`: the speed wanted, electrical rad/s, or rotor rpm with `unit = "rpm"`.
+    """`[motion]`: the speed of the train, electrical rad/s, or rotor rpm with `unit = "rpm"`.
 
-    `profile` = [[t_s, speed], ...] (linear) replaces `speed`. `start = "rolling"`: at the profile's
-    first speed. `angle_rad`: initial electrical angle of every drive, else random per drive.
-    `effort_nm`: the most that the driver demands of each drive on the rail, else 1.5 T_rated.
+    `profile` = [[t_s, speed], ...] replaces `speed` and is linear between the points.
+    `start = "rolling"`: the run starts at the profile's first speed. `angle_rad`: initial
+    electrical angle of all drives; without it, it is random for each. `effort_nm`: the largest
+    torque that is demanded of each drive on the rail; by default 1.5 T_rated.
     """
 
     speed: Number = 100.0
@@ -188,11 +195,12 @@ class Motion(Strict):
 
 
 class Sensors(Strict):
-    """`[sensors]`.
+    """`[sensors]`: errors of the drives' sensors.
 
-    Currents: white noise per phase, offset and gain the same in all, range; `*_within` draws an
-    offset and a gain per drive and phase from the seed, uniform up to +- it. Temperatures: noise
-    and the spread of constant offsets, both one sigma.
+    Currents have white noise in each phase, an offset and a gain that are the same in all phases,
+    and a range. `current_offset_within_a` and `current_gain_within`: for each drive and phase the
+    seed draws an additional offset and gain, at most +- this value. Temperatures have noise and
+    constant offsets, which differ from sensor to sensor; both values are one sigma.
     """
 
     current_noise_var: Annotated[float, within(0, 1e6, "A2", "a variance, of each phase")] = 2e-4
@@ -206,11 +214,12 @@ class Sensors(Strict):
 
 
 class Mismatch(Strict):
-    """`[mismatch]`: deviation of the motors from their data sheet, which the drives' control uses.
+    """`[mismatch]`: how far the motors deviate from the data sheet, which the drives' control uses.
 
-    Factors on R_s, L_s and psi_pm: one number or one per drive; `*_within` multiplies by a factor
-    within 1 +- its value, drawn per drive from the seed. A drive with weaker magnets delivers
-    less torque than commanded, but reports (`Motion.Torque`) that of the data sheet's magnets.
+    Factors on R_s, L_s and psi_pm, one number or one for each drive. `R_s_within` and the others
+    multiply by a factor of 1 +- this value, which the seed draws for each drive. A drive with
+    weaker magnets delivers less torque than commanded, but reports (`Motion.Torque`) the torque
+    that the magnets of the data sheet would give.
     """
 
     R_s: Factors = 1.0
@@ -222,11 +231,12 @@ class Mismatch(Strict):
 
 
 class ThermalStart(Strict):
-    """`[thermal]`.
+    """`[thermal]`: temperatures of the motors and of the air.
 
-    `start`: "equilibrium" of the first load and speed, "ambient", or degC for all nodes.
-    `ambient_profile` = [[t_s, degC], ...] (linear) replaces `ambient_c` while the train runs.
-    `train_seed` draws the differences of motors and sensors: the same train in every scenario.
+    `start`: "equilibrium" (the steady state at the first load and speed), "ambient", or one
+    temperature of all parts. `ambient_profile` = [[t_s, degC], ...] replaces `ambient_c` and is
+    linear between the points. `train_seed` draws the differences between motors and between
+    sensors: with the same value it is the same train.
     """
 
     start: (
@@ -239,7 +249,7 @@ class ThermalStart(Strict):
 
 
 class BusModel(Strict):
-    """`[bus]`: stamps follow arbitration at this bit rate; 0 = a bus without one, as vcan."""
+    """`[bus]`: time stamps follow from arbitration at this bit rate; 0: no bit rate, as vcan."""
 
     bitrate: int = 1_000_000
     data_bitrate: Annotated[

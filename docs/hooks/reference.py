@@ -34,6 +34,7 @@ from dbc.toml_files import Within
 from gateway import cli
 from gateway.settings import config
 from sim import scenario, scenarios
+from sim.scenario_schema import Curve, Disturbance
 from sim.scenario_schema import Strict as SimStrict
 
 ROOT = Path(__file__).parents[2]
@@ -141,6 +142,8 @@ def scenario_page() -> str:
         "# Scenarios",
         "",
         "One TOML file is a simulated run, a test on the virtual clock and a test on a real bus.",
+        "The [tutorial](../tutorials/hil_tests.md) has an example. Required are `title`,",
+        "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1.",
         "",
     ]
     out += ["## Top level", "", *_table(scenario.Scenario), ""]
@@ -150,6 +153,9 @@ def scenario_page() -> str:
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, SimStrict):
             out += [f"## [{name}]", "", _about(kind), "", *_table(kind), ""]
+        if name == "load":
+            for key, part in (("disturbance", Disturbance), ("curve", Curve)):
+                out += [f"## [[load.{key}]]", "", _about(part), "", *_table(part), ""]
     out += ["## Shipped", "", "| name | title |", "|---|---|"]
     for path in sorted(Path(scenarios.__path__[0]).glob("*.toml")):
         title = scenario.load(str(path)).title

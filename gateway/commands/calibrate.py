@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import GOOD, add_config, shown
+from gateway.commands.common import add_config, faults, shown, verdict_of_input
 from gateway.commands.progress import Progress, track_file
 from gateway.io.console import note
 from gateway.io.prepare import prepare
@@ -16,6 +17,7 @@ from gateway.settings.config import ConfigError
 if TYPE_CHECKING:
     from dbc.codec import Codec
     from dbc.frames import Block
+    from gateway.io.replay import Replayed
     from gateway.settings.config import Config
     from gateway.study.calibrating import Learner
 
@@ -45,6 +47,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read the temperatures through the gateway's own inbox and write the calibration.
 
+    Exit 1 if more than 1 % of the logs was dropped.
     Raises ConfigError, and writes nothing, if the logs do not contain what the method needs.
     """
     if options.adhesion:
@@ -65,11 +68,16 @@ def run(options: argparse.Namespace) -> int:
     config = config.model_copy(update={"thermal": thermal})
     rate = config.thermal.false_alarms_per_1000_h
     learner = Learner(config.nodes, config.thermal.window_s, promises=rate is not None)
+    dropped: Counter[str] = Counter()
+    used = 0
     for log in options.log:
-        tracked = track_file(open_log(log, strict=False), log, log.name)
+        opened = open_log(log, strict=False)
         learner.begin()
         try:
-            _learn(OneChannel(tracked, options.log_channel), config, codec, learner)
+            frames = OneChannel(track_file(opened, log, log.name), options.log_channel)
+            done = _learn(frames, config, codec, learner)
+            dropped.update(time_back=done.dropped, **faults(opened.reader))
+            used += done.frames - done.dropped
         except BadLogError as error:
             text = str(error)
             raise BadLogError(text if str(log) in text else f"{log}: {text}") from None
@@ -85,7 +93,8 @@ def run(options: argparse.Namespace) -> int:
     motors = len(config.nodes)
     seen = f"{learner.samples} samples of {motors} motors"
     print(f"{shown(path)}: {seen}; MAISD limits {limits} K; {model}")
-    for line in (*learner.notes, *promised):
+    lacks = [] if result.heat else [f"no thermal model because {line}" for line in learner.lacks()]
+    for line in (*lacks, *learner.notes, *promised):
         print(line)
     if learner.fits:
         print("\n".join(calibration_fit.lines(learner.fits)))
@@ -93,10 +102,10 @@ def run(options: argparse.Namespace) -> int:
             print("\n".join(calibration_fit.filter_lines(learner.coverage, learner.nodes)))
         if options.pictures is not None:
             calibration_fit.draw(options.pictures, learner.fits)
-    return GOOD
+    return verdict_of_input(dropped, used)
 
 
-def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> None:
+def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> Replayed:
     """Feed one log's temperatures, as the gateway receives them, into the learner."""
     from gateway.core.gateway import Gateway
     from gateway.io.replay import Briefly, replay
@@ -112,6 +121,7 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
 
     done = replay(blocks, new_gateway, config.loop.period_ns, Briefly(lambda _frames: None, add))
     add(done.gateway)
+    return done
 
 
 def _adhesion(options: argparse.Namespace) -> int:
@@ -131,12 +141,16 @@ def _adhesion(options: argparse.Namespace) -> int:
         evidence.begin_log(start)
         return Gateway(config, codec, start)
 
+    dropped: Counter[str] = Counter()
+    used = 0
     for log in options.log:
-        tracked = track_file(open_log(log, strict=False), log, log.name)
-        frames = OneChannel(tracked, options.log_channel)
+        opened = open_log(log, strict=False)
+        frames = OneChannel(track_file(opened, log, log.name), options.log_channel)
         sink = Briefly(lambda _frames: None, evidence.follow_flags)
         done = replay(frames, gateway, config.loop.period_ns, sink)
         evidence.end_log(done.gateway.now_ns)
+        dropped.update(time_back=done.dropped, **faults(opened.reader))
+        used += done.frames - done.dropped
     longest = evidence.longest_ms
     if not len(longest):
         raise ConfigError("calibrate --adhesion", ["the logs have less than a minute together"])
@@ -145,8 +159,8 @@ def _adhesion(options: argparse.Namespace) -> int:
     rate = given.adhesion.false_alarms_per_1000_h
     if rate is None:
         note("put this line into [adhesion], and state false_alarms_per_1000_h")
-        return GOOD
+        return verdict_of_input(dropped, used)
     measured = {"minutes": len(longest), "longest_ms": times}
     stated = Adhesion.model_validate({"false_alarms_per_1000_h": rate, "fault_free": measured})
     note(f"adhesion: {stated.promise}")
-    return GOOD
+    return verdict_of_input(dropped, used)

@@ -106,6 +106,11 @@ def examine(options: argparse.Namespace) -> Problems:
     cells = calibration.of(config)
     word = calibration.config_hash(config, codec.digest, cells)
     print(f"configuration  good, hash {word:06x}")
+    if "drive" not in config.model_fields_set:
+        nodes = ", ".join(map(str, config.nodes))
+        print(
+            f"               no [[drive]] in it: drives {nodes} with motor {config.drive[0].motor}"
+        )
     print(
         f"message set    {printable(codec.path.name)}: "
         f"{len(codec.messages)} messages fit the contract"

@@ -18,7 +18,7 @@ from dbc.logs.opening import open_reader
 from dbc.spec import MessageSpec
 from gateway.commands.common import pattern_of
 from gateway.commands.progress import Progress
-from gateway.io.replay import OneChannel
+from gateway.io.replay import BadLogError, OneChannel
 from gateway.mapping import command_fit, fit, rating_fit
 from gateway.mapping.bus_fit import Traffic
 from gateway.mapping.plan import NO_MESSAGE, fitted, plans
@@ -42,7 +42,8 @@ def print_findings(
     reader = open_reader(path, strict=False, line=pattern_of(path, line))
     values = _Values(config, codec)
     with Progress("first minute of the log", LOOKED_AT_S) as progress:
-        values.add_all(OneChannel(reader.blocks(), channel), progress)
+        if not values.add_all(OneChannel(reader.blocks(), channel), progress):
+            raise BadLogError(f"{path}: no frame in the log (or none on this channel)")
     problems = _print("gateway", values.traffic.strangers())
     motors = {drive.node: config.motors[drive.motor] for drive in config.drive}
     asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]
@@ -90,7 +91,8 @@ class _Values:
         self._bad: dict[int, Counter[str]] = {}
         """Number of checked frames that a replay rejects, by message and cause."""
 
-    def add_all(self, blocks: Iterable[Block], progress: Progress) -> None:
+    def add_all(self, blocks: Iterable[Block], progress: Progress) -> bool:
+        """Add the first minute; returns whether there is a frame."""
         first_ns: int | None = None
         for block in blocks:
             if not block.size:
@@ -100,6 +102,7 @@ class _Values:
             progress.to((block.t_ns.item(-1) - first_ns) / 1e9)
             if block.t_ns.item(-1) - first_ns > LOOKED_AT_S * 1e9:
                 break
+        return first_ns is not None
 
     def _note_derived(self, node: int, t_ns: int) -> None:
         self._derived[node].append(t_ns)

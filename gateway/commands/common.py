@@ -36,11 +36,51 @@ def positive_seconds(text: str) -> float:
     return seconds
 
 
+def percentage(text: str) -> float:
+    """Parse a share in percent. Raises ArgumentTypeError unless it is 0 to 100."""
+    try:
+        share = float(text)
+    except ValueError:
+        share = math.nan
+    if not 0.0 <= share <= 100.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a percentage: expected 0 to 100")
+    return share
+
+
 def number_of_jobs(text: str) -> int:
     """Parse a number of processes. Raises ArgumentTypeError unless it is 1 to 256."""
     if not text.isdecimal() or not 1 <= int(text) <= 256:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of processes")
     return int(text)
+
+
+def refuse_overwriting(options: argparse.Namespace) -> None:
+    """Raise ConfigError if a file that the verb writes is also one that it reads or writes."""
+    from gateway.settings.config import ConfigError
+
+    values = vars(options)
+    truth = ("truth",) if options.verb == "sim" else ()
+    for key in ("output", "junit", *truth):
+        if not values.get(key):
+            continue
+        path = Path(values[key])
+        for other, value in values.items():
+            for item in value if isinstance(value, list) else [value]:
+                if other not in (key, "verb") and _same_file(path, item):
+                    cure = f"is the file of `{other}` too; name another one for `{key}`"
+                    raise ConfigError(str(path), [cure])
+
+
+def _same_file(path: Path, other: object) -> bool:
+    """Whether both are one file; text that names no file may be a file's name by chance."""
+    if not path.exists():
+        return path == other
+    return (
+        isinstance(other, str | Path)
+        and path.is_file()
+        and Path(other).exists()
+        and path.samefile(other)
+    )
 
 
 def add_duration(parser: argparse.ArgumentParser) -> None:

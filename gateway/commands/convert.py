@@ -73,8 +73,6 @@ def run(options: argparse.Namespace) -> int:
     kind = convert.out_ending(options.output, options.frames)
     line = pattern_of(options.log, options.line)
     log = convert.open_input(options.log, options.strict, line)
-    if options.output.exists() and options.output.samefile(options.log):
-        raise BadLogError(f"{options.output}: is the log itself; name another file")
     decoder: Decoder | None = None
     if kind in convert.SIGNALS and not options.frames:
         decoder = Decoder(_codec(options))

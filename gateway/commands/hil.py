@@ -24,6 +24,7 @@ from gateway.commands.common import (
 from gateway.commands.progress import Progress, stepped
 from gateway.hil.fitting import fitted
 from gateway.io.whole_file import whole, whole_folder
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
@@ -50,6 +51,37 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_bus(parser)
 
 
+_ONLY_WITH = {
+    "mutate_seed": "--mutate", "expect_noticed": "--mutate",
+    "controller": "--slip-bench", "expect_score": "--slip-bench",
+}  # fmt: skip
+"""Options that mean nothing without another one. Ignored, a limit would seem to be kept."""
+_UNUSED = {
+    "--mutate": ("junit", "output", "results"),
+    "--slip-bench": ("config", "junit", "results", "mutate"),
+}
+"""Options that have no effect beside another one."""
+
+
+def _refuse_unused(options: argparse.Namespace) -> None:
+    """Raise ConfigError for options that would have no effect."""
+    given = vars(options).get("_given", set())
+    kind = (
+        "--slip-bench" if options.slip_bench else "--mutate" if options.mutate is not None else ""
+    )
+    problems = [f"{_option(key)}: only with {needed}" for key, needed in _ONLY_WITH.items()
+                if key in given and needed != kind]  # fmt: skip
+    problems += [
+        f"{_option(key)}: not with {kind}" for key in _UNUSED.get(kind, ()) if key in given
+    ]
+    if problems:
+        raise ConfigError("hil", problems)
+
+
+def _option(key: str) -> str:
+    return "--" + key.replace("_", "-")
+
+
 def run(options: argparse.Namespace) -> int:
     """Judge every scenario; exit 1 if any expectation failed.
 
@@ -57,6 +89,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from sim.scenario import ScenarioError, find
 
+    _refuse_unused(options)
     if options.slip_bench:
         return hil_slip.run(options)
     if not options.scenario:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import FAILED, GOOD, names_bus
+from gateway.commands.common import FAILED, GOOD, names_bus, percentage
 from gateway.commands.progress import track
 from gateway.io.console import note
 from gateway.settings.config import ConfigError
@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="alter flags in N ways, and count those noticed")  # fmt: skip
     parser.add_argument("--mutate-seed", type=int, default=0, metavar="SEED",
                         help="seed of the alterations (default: 0)")  # fmt: skip
-    parser.add_argument("--expect-noticed", type=float, metavar="PERCENT",
+    parser.add_argument("--expect-noticed", type=percentage, metavar="PERCENT",
                         help="exit 1 if fewer alterations are noticed")  # fmt: skip
 
 
@@ -56,7 +56,7 @@ def run_tests(options: argparse.Namespace) -> int:
 
     _refuse(options)
     if options.config is not None:
-        why = "-c is for scenarios; a test names its own: @pytest.mark.hil(config=..)"
+        why = "--config is for scenarios; a test names its own: @pytest.mark.hil(config=..)"
         raise ConfigError("--mutate", [why])
     if failing := judged_by_tests(options.scenario):
         print(f"FAIL without a mutant: {failing}")

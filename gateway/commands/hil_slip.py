@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import FAILED, GOOD, names_bus
+from gateway.commands.common import FAILED, GOOD, names_bus, percentage
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="what reduces torque: gateway (default: our flags on a virtual "
                         "bus, with -i and -c those of a device on that bus), oracle, creep, late, "
                         "timid, none or FILE.py:FUNCTION")  # fmt: skip
-    parser.add_argument("--expect-score", type=float, metavar="PERCENT",
+    parser.add_argument("--expect-score", type=percentage, metavar="PERCENT",
                         help="exit 1 if the score of a track is lower")  # fmt: skip
 
 

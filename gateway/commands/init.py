@@ -50,8 +50,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _whole_number(text: str) -> int:
-    """Parse a decimal number, or a hexadecimal one with 0x in front. Raises ValueError."""
-    return int(text, 0)
+    """Parse a whole number, such as 32 or 0x20. Raises ArgumentTypeError for anything else."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        msg = f"{text!r} is not a whole number, such as 32 or 0x20"
+        raise argparse.ArgumentTypeError(msg) from None
 
 
 def run(options: argparse.Namespace) -> int:

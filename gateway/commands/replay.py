@@ -92,7 +92,7 @@ def _replay(options: argparse.Namespace, results: ExitStack) -> int:
         from dbc.candump.writer import Writer
         from dbc.prefetch import ahead
         from gateway.core.gateway import Gateway
-        from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
+        from gateway.io.replay import Briefly, OneChannel, open_log, replay
         from gateway.io.whole_file import whole
         from gateway.reports.record import Changes
 
@@ -100,8 +100,6 @@ def _replay(options: argparse.Namespace, results: ExitStack) -> int:
             {"adhesion": {"detector": options.detector}} if options.detector else {}
         )
         config, codec = prepare(options.config, signature=options, **changes)
-    if options.output and options.output.exists() and options.output.samefile(options.log):
-        raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
     log = open_log(options.log, options.strict, pattern_of(options.log, options.line))
     if isinstance(log.reader, Reader):  # much of it is compiled, so it runs beside the core
         log = log._replace(blocks=ahead(iter(log.blocks)))

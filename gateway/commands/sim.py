@@ -130,11 +130,11 @@ def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, trut
 
 def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
     from gateway.hil.simbus import run_on_bus
-    from gateway.io.bus import open_transport
+    from gateway.io.bus import open_present
     from gateway.io.live import Stop
     from gateway.io.permission import drives_only
 
-    transport = open_transport(options, drives_only(simulation.codec, simulation.nodes))
+    transport = open_present(options, drives_only(simulation.codec, simulation.nodes))
     console().print(
         f"{simulation.scenario.title}: {simulation.scenario.drives} drives for {seconds:g} s",
         markup=False,

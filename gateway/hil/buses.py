@@ -14,7 +14,7 @@ from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Nanos
 from gateway.core.gateway import Gateway
 from gateway.hil.bench import Outcome, touched_drives
-from gateway.io.bus import open_transport
+from gateway.io.bus import open_present
 from gateway.io.canopen_node import CanopenNode
 from gateway.io.credentials import flag_authenticator, private_file
 from gateway.io.live import LiveSnapshot, Stop, run_live
@@ -111,7 +111,7 @@ def run_on_real_bus(
     ticker = Ticker(config.loop.period_ns)
     authenticator = flag_authenticator(config)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
-    transport = open_transport(options, allowed(Mode.HIL, config, codec))
+    transport = open_present(options, allowed(Mode.HIL, config, codec))
     track = FlagTrack(codec, config.nodes)
     stop = Stop()
     if left is not None:

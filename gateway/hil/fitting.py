@@ -38,7 +38,11 @@ def fitting(
             problem = "drive.signals: simulated drives send only this project's message set"
             cure = "remove the signals to test the rest, or replay a log of such an inverter"
             raise ConfigError(str(path), [f"{problem}; {cure}"])
-        if len(config.nodes) != scenario.drives:
+        if len(config.nodes) < scenario.drives:
+            problem = f"the scenario has {scenario.drives} drives, [[drive]] names"
+            cure = "add the others, or set `drives` in the scenario"
+            raise ConfigError(str(path), [f"{problem} {len(config.nodes)}: {cure}"])
+        if len(config.nodes) > scenario.drives:
             console().print(
                 f"note: the scenario has {scenario.drives} drives, the configuration "
                 f"{len(config.nodes)}", markup=False,

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from dbc.codec import Codec
-from dbc.frame import FD, MS, Frame, Nanos
+from dbc.frame import EXTENDED, FD, MS, Frame, Nanos
 from dbc.spec import VALID
 
 if TYPE_CHECKING:
@@ -64,7 +64,8 @@ class Inverter:
                 continue
             self._due[spec.index] = t_ns + spec.cycle_ns - min(MS, spec.cycle_ns // 2)
             data = bytes(self.plan.codec.encode(spec, wanted))
-            yield Frame(t_ns, spec.can_id, data, FD if spec.is_fd else 0)
+            flags = (FD if spec.is_fd else 0) | (EXTENDED if spec.is_extended else 0)
+            yield Frame(t_ns, spec.can_id, data, flags)
 
     def _currents(self, t_ns: Nanos) -> None:
         k = self._known

@@ -21,7 +21,7 @@ from gateway.hil.slip_controllers import CreepControl, FlagLaw, Timid, late, non
 from gateway.hil.slip_plant import MOTOR, START_M_S, TRAIN, BrakingTrain, Controller, Moment
 from gateway.hil.slip_rails import AXLES, Track
 from gateway.hil.slip_score import Score, score
-from gateway.io.bus import open_transport
+from gateway.io.bus import open_present
 from gateway.io.live import Stop
 from gateway.io.permission import drives_only
 from gateway.settings.config import Config
@@ -114,7 +114,7 @@ def ride_on_bus(track: Track, options: Namespace) -> Run:
     """
     _, codec = configured(track)
     bench = Bench(track, codec, self_start=True)
-    transport = open_transport(options, drives_only(codec, bench.nodes))
+    transport = open_present(options, drives_only(codec, bench.nodes))
     stop = Stop()
 
     def after_step() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from gateway.io.links import Links
 from gateway.io.pythoncan import PythonCan, complete
 from gateway.io.socketcan import SocketCan
-from gateway.io.transport import Allow, Guarded, Transport
+from gateway.io.transport import Allow, Guarded, LinkState, Transport
 from gateway.settings.config import ConfigError
 
 _BUS_KEYS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", "can_filters")
@@ -34,6 +34,8 @@ def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None =
         chosen = complete(chosen)
     inner: Transport
     if chosen["interface"] == "socketcan":
+        if "channel" not in chosen:
+            raise ConfigError("bus", ["socketcan needs a channel: name one, such as -c can0"])
         unknown = sorted(set(chosen) - set(_BUS_KEYS))
         if unknown:
             raise ConfigError("bus", [f"{key}: not an option of socketcan" for key in unknown])
@@ -46,6 +48,19 @@ def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None =
             inner = SocketCan(channel, fd=fd, newest=True, links=links)
     else:
         inner = PythonCan(chosen)
-    transport = inner if allow is None else Guarded(inner, allow, str(chosen["channel"]))
+    transport = inner if allow is None else Guarded(inner, allow, str(chosen.get("channel", "")))
     transport.open()
+    return transport
+
+
+def open_present(options: Namespace | Mapping[str, Any], allow: Allow | None = None) -> Transport:
+    """`open_transport` for a run that proves nothing without its bus: an absent one is an error.
+
+    Raises ConfigError as `open_transport` does, or if the interface is absent.
+    """
+    transport = open_transport(options, allow)
+    if transport.status.state is LinkState.ABSENT:
+        note = transport.status.note.rstrip(".")
+        transport.close()
+        raise ConfigError("bus", [f"{note}; connect it, or name another one with -i and -c"])
     return transport

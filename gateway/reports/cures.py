@@ -21,7 +21,8 @@ def cure(
         return "warning", (
             "a drive lacks signals for this flag: `traction-gateway check CONFIG` names them"
         )
-    return "warning", "wrong channel, DBC or motor? run `traction-gateway check CONFIG --log LOG`"
+    check = "wrong channel, DBC or motor? run `traction-gateway check CONFIG --log LOG`"
+    return "warning", f"{check}, or see {_explained(reasons)}"
 
 
 def _thermal_cure(reasons: Sequence[Reason], config: Config, nodes: Sequence[int]) -> str:
@@ -35,5 +36,8 @@ def _thermal_cure(reasons: Sequence[Reason], config: Config, nodes: Sequence[int
     limits = "make limits with `traction-gateway calibrate`"
     if Reason.CONFIG in reasons:
         return f"{limits}, or see `traction-gateway explain config`"
-    words = ", ".join(f"`traction-gateway explain {camel(reason.name)}`" for reason in reasons)
-    return f"see {words}" + ("" if thermal.calibration else f"; then {limits}")
+    return f"see {_explained(reasons)}" + ("" if thermal.calibration else f"; then {limits}")
+
+
+def _explained(reasons: Sequence[Reason]) -> str:
+    return ", ".join(f"`traction-gateway explain {camel(reason.name)}`" for reason in reasons)

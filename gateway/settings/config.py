@@ -251,7 +251,9 @@ def load(
         raw = read_toml(text)
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
-    except (OSError, TomlError) as error:
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
+    except TomlError as error:
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     inner = [key for key in ("base", "sealed", "source", "text", "shared_signals") if key in raw]
     if inner:

@@ -161,8 +161,9 @@ class Learner:
         if len(self.nodes) < FEWEST_COMPARED:
             raise ConfigError("calibrate", ["MAISD compares motors: at least two are needed"])
         if self.samples < 10:
-            problem = "no stretch with all sensors of all motors; record a longer fault-free run"
-            raise ConfigError("calibrate", [problem])
+            problem = "fewer than 10 samples in which all sensors of all motors had values"
+            cure = "record a longer fault-free run, or name the drives of the log in --config"
+            raise ConfigError("calibrate", [f"{problem}: {cure}"])
         means = np.concatenate([mean for log in self._comparable() for mean in log])
         gain, offset = _against_fleet(means, self.fitted)
         centred = (means - offset) / gain

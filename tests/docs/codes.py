@@ -16,8 +16,8 @@ EXITS = """
 | code | meaning |
 |---|---|
 | 0 | success; `run` and `monitor` end with it, too, when a signal stops them |
-| 1 | an expectation failed, or more than 1 % of a log was dropped |
-| 2 | bad input |
+| 1 | an expectation failed, or more than 1 % of a log was left out |
+| 2 | bad input; `check`: a loss would not be found; `hil`, `sim`: no such bus |
 | 3 | inconclusive: `hil` on a bus that this machine could not keep up with |
 | 130, 143, 141 | ended by Ctrl-C, SIGTERM, a broken pipe |
 """

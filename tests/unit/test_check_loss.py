@@ -173,9 +173,10 @@ def test_bus_load_and_timing_are_of_a_whole_second_whatever_the_verdict():
     assert rates[0][0x701] == rates[0][0x720] == 10
 
 
-def test_a_mapped_inverter_is_tried_in_its_own_words(tmp_path):
+@pytest.mark.parametrize("ids", [0x600, 0x8CFFA500], ids=["11 bits", "29 bits"])
+def test_a_mapped_inverter_is_tried_in_its_own_words(tmp_path, ids):
     command = {"TorqueCommand": "Mot.Torque"}
-    config = mapped(tmp_path, "rotor", 4, drives=2, use=command)
+    config = mapped(tmp_path, "rotor", 4, drives=2, use=command, ids=ids)
     found = tried(config)
     assert [one.node for one in found] == [1, 2]
     assert all(one.after_ms is not None and one.after_ms <= SOON_MS for one in found), found

@@ -108,6 +108,8 @@ def test_bad_input_is_one_clear_line(folder, refused, tmp_path):
     bad = tmp_path / "bad.toml"
     bad.write_text("[loop]\nrate = 5\n")
     assert "loop.rate" in refused("replay", folder / "s.log", "--config", bad)
+    bad.write_text("[drive]\nnode = 1\n")
+    assert "drive: expected a list, got a table: write [[drive]]" in refused("check", bad)
     bad.write_text('[dbc]\nfile = "none.dbc"\n')
     assert "none.dbc" in refused("check", bad)
     bad.write_text('[dbc]\nfile = "broken.dbc"\n')
@@ -201,6 +203,15 @@ def test_check_knows_the_bus_load_of_the_contract(capsys, tmp_path):
     assert "above 80 %" in err
 
 
+@pytest.mark.parametrize(("text", "told"), [("", 1), ("[[drive]]\nnode = 1\n", 0)])
+def test_check_says_which_drives_are_assumed(capsys, tmp_path, text, told):
+    path = tmp_path / "t.toml"
+    path.write_text(text)
+    assert main(["check", str(path), "--no-timing"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("no [[drive]] in it: drives 1, 2, 3 with motor bench") == told
+
+
 def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
     healthy = tmp_path / "h.toml"
     healthy.write_text('title = "h"\nseed = 3\nduration_s = 30\ndrives = 3\ntraffic = "slow"\n')
@@ -213,13 +224,30 @@ def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
     assert main(["calibrate", str(log), "-o", str(cells), "--without-model"]) == 0
     config = tmp_path / "c.toml"
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
-    assert "no thermal model" in capsys.readouterr().out, "seconds are too short for one"
+    said = capsys.readouterr().out
+    assert "no thermal model because the shortest run with all values known has" in said
     assert "no thermal model" in refused("replay", log, "--config", config)
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\nmethod = "maisd"\n')
     assert main(["replay", str(log), "--config", str(config)]) == 0
     out = capsys.readouterr().out
     assert out.count("thermal   NoFault") == 3
     assert " Fault" not in out
+
+
+@pytest.mark.parametrize("to", [("-o", "x.toml", "--without-model"), ("--adhesion",)])
+def test_a_calibration_from_a_damaged_log_is_exit_1(folder, capsys, tmp_path, monkeypatch, to):
+    monkeypatch.chdir(tmp_path)
+    healthy = tmp_path / "h.toml"
+    healthy.write_text('title = "h"\nseed = 3\nduration_s = 61\ndrives = 3\ntraffic = "slow"\n')
+    assert main(["sim", str(healthy), "-o", "h.log"]) == 0
+    lines = (tmp_path / "h.log").read_text().splitlines()
+    assert main(["calibrate", "h.log", *to]) == 0
+    cut = [line[:20] if k % 20 == 7 else line for k, line in enumerate(lines)]
+    (tmp_path / "h.log").write_text("\n".join(cut) + "\n")
+    assert main(["calibrate", "h.log", *to]) == 1
+    assert "5.0 % of the input was dropped, which is more than 1%: malformed" in (
+        capsys.readouterr().err
+    )
 
 
 def test_help_and_version(capsys):
@@ -234,12 +262,73 @@ def test_help_and_version(capsys):
 def test_outputs_that_cannot_be_are_one_line(folder, refused, tmp_path):
     log = folder / "s.log"
     size = log.stat().st_size
-    assert "is the log itself" in refused("replay", log, "-o", log)
+    assert "is the file of `log` too" in refused("replay", log, "-o", log)
     assert log.stat().st_size == size
-    assert "No space left on device: '/dev/full'" in refused("replay", log, "-o", "/dev/full")
+    assert "/dev/full: No space left on device" in refused("replay", log, "-o", "/dev/full")
+    folder_named = f"{tmp_path}: is a folder; name a file"
+    assert folder_named in refused("replay", log, "-o", tmp_path)
+    assert folder_named in refused("hil", folder / "s.toml", "--junit", tmp_path)
+    none = tmp_path / "none.csv"
+    truth = refused("replay", log, "--truth", none, "--results", tmp_path / "r")
+    assert f"{none}: no such file or folder" in truth
+    assert "cannot be read: Is a directory" in refused("replay", log, "--config", tmp_path)
     refused("replay", log, "-o", log / "x.log")
     refused("replay", log, "--results", log)
     assert "folder" in refused("replay", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "written", "other"),
+    [
+        (("hil", "s.toml", "-o", "s.toml"), "output", "scenario"),
+        (("hil", "s.toml", "--junit", "./s.toml"), "junit", "scenario"),
+        (("hil", "s.toml", "--junit", "new", "-o", "new"), "output", "junit"),
+        (("sim", "s.toml", "-o", "s.toml"), "output", "scenario"),
+        (("sim", "s.toml", "-o", "new", "--truth", "new"), "output", "truth"),
+        (("replay", "s.log", "-o", "truth.csv", "--truth", "truth.csv"), "output", "truth"),
+        (("calibrate", "truth.csv", "s.log", "-o", "s.log"), "output", "log"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_what_is_read_is_not_overwritten(folder, refused, monkeypatch, words, written, other):
+    monkeypatch.chdir(folder)
+    before = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    said = refused(*words)
+    assert f"is the file of `{other}` too; name another one for `{written}`" in said
+    assert {path: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--expect-noticed", "90"), "--expect-noticed: only with --mutate"),
+        (("--mutate-seed", "3"), "--mutate-seed: only with --mutate"),
+        (("--expect-score", "50"), "--expect-score: only with --slip-bench"),
+        (("--controller", "creep"), "--controller: only with --slip-bench"),
+        (("--mutate", "3", "--junit", "x.xml"), "--junit: not with --mutate"),
+        (("--slip-bench", "--results", "x"), "--results: not with --slip-bench"),
+    ],
+    ids=str,
+)
+def test_an_option_of_hil_that_would_have_no_effect_is_refused(folder, refused, words, said):
+    assert said in refused("hil", folder / "s.toml", *words)
+
+
+@pytest.mark.parametrize("option", ["--expect-noticed", "--expect-score"])
+@pytest.mark.parametrize("share", ["nan", "-1", "101", "many"])
+def test_a_least_share_is_a_percentage(folder, capsys, option, share):
+    mode = {"--expect-noticed": ["--mutate", "1"], "--expect-score": ["--slip-bench"]}[option]
+    with pytest.raises(SystemExit) as stop:
+        main(["hil", str(folder / "s.toml"), *mode, f"{option}={share}"])
+    assert stop.value.code == 2
+    assert f"'{share}' is not a percentage: expected 0 to 100" in capsys.readouterr().err
+
+
+def test_a_configuration_with_too_few_drives_for_a_scenario_is_refused(folder, refused, tmp_path):
+    one = tmp_path / "one.toml"
+    one.write_text("[[drive]]\nnode = 9\n")
+    said = refused("hil", folder / "s.toml", "--config", one)
+    assert "the scenario has 3 drives, [[drive]] names 1: add the others" in said
 
 
 def test_an_option_given_twice_is_refused(folder, capsys):

@@ -383,7 +383,7 @@ def inputs(tmp_path_factory):
 @pytest.mark.parametrize(
     ("log", "out", "words", "said"),
     [
-        ("in.log", "in.log", [], "is the log itself"),
+        ("in.log", "in.log", [], "is the file of `log` too"),
         ("in.log", "out.xyz", [], "nothing is written with the ending"),
         ("in.log", "out", [], "(none)"),
         ("in.log", "folder.csv", [], "is a folder"),

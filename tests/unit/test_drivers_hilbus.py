@@ -98,7 +98,7 @@ def run(monkeypatch):
         monkeypatch.setattr(
             hilbus, "Ticker", lambda period: Ticker(period, lambda: world.now_ns, world.sleep)
         )
-        monkeypatch.setattr(hilbus, "open_transport", lambda *_: world)
+        monkeypatch.setattr(hilbus, "open_present", lambda *_: world)
         monkeypatch.setattr(hilbus, "subprocess", SimpleNamespace(Popen=world.start))
         return run_on_real_bus(
             Namespace(), "nothing", scenario, config, codec, left, progress=progress

@@ -143,6 +143,24 @@ def test_no_interface_is_one_clear_line(monkeypatch, tmp_path):
         open_transport({"interface": "warp", "channel": "0"})
 
 
+def test_socketcan_needs_a_channel(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("CAN_CHANNEL", raising=False)
+    with pytest.raises(ConfigError, match="socketcan needs a channel: name one"):
+        open_transport({"interface": "socketcan"})
+
+
+@pytest.mark.parametrize("words", [["sim", "wet_one", "--duration", "1"], ["hil", "wet_one"]])
+def test_simulated_drives_without_their_bus_are_an_error(words, monkeypatch, refused):
+    def absent(**_options):
+        raise OSError("the library was not found.")
+
+    monkeypatch.setattr("can.Bus", absent)
+    said = refused(*words, "-i", "pcan", "-c", "PCAN_USBBUS1")
+    assert "bus: PCAN_USBBUS1 is not there: the library was not found; connect it" in said
+
+
 def test_socketcan_takes_no_foreign_options():
     with pytest.raises(ConfigError, match="local_loopback: not an option of socketcan"):
         open_transport(

@@ -36,15 +36,16 @@ def signed(name, at, scale=0.1):
 def mapped(tmp, form="phases", cycle=2, drives=3, **more):
     """Drives that send this form of currents and voltages, and the rest, on messages of theirs."""
     currents, voltages = FORMS[form]
+    ids = more.get("ids", 0x600)
     tables = []
     for n in range(1, drives + 1):
         write_dbc(tmp / f"{n}.dbc", {
-            "Cur": (0x600 + 16 * n, cycle, [*(signed(name, 16 * k, 0.02)
+            "Cur": (ids + 16 * n, cycle, [*(signed(name, 16 * k, 0.02)
                     if name != "ElectricalAngle" else f'{name} : 32|16@1+ (0.01,0) [0|360] "deg"'
                     for k, name in enumerate(currents)), 'Counter : 48|4@1+ (1,0) [0|15] ""']),
-            "Vol": (0x601 + 16 * n, cycle, [signed(v, 16 * k) for k, v in enumerate(voltages)]),
-            "Mot": (0x602 + 16 * n, 10, [signed("Speed", 0, 0.5), signed("Torque", 16)]),
-            "Tmp": (0x603 + 16 * n, 100, [signed("Tstator", 0), signed("Tde", 16)]),
+            "Vol": (ids + 1 + 16 * n, cycle, [signed(v, 16 * k) for k, v in enumerate(voltages)]),
+            "Mot": (ids + 2 + 16 * n, 10, [signed("Speed", 0, 0.5), signed("Torque", 16)]),
+            "Tmp": (ids + 3 + 16 * n, 100, [signed("Tstator", 0), signed("Tde", 16)]),
         })  # fmt: skip
         use = {name: f"Cur.{name}" for name in currents}
         use |= {name: f"Vol.{name}" for name in voltages}

@@ -112,6 +112,25 @@ def test_a_log_without_cycles_and_no_drives_are_refused(tmp_path, capsys):
     assert not (tmp_path / "t.toml").exists()
 
 
+@pytest.mark.parametrize("verb", ["check", "init"])
+def test_a_log_without_a_frame_is_not_called_a_wrong_node(verb, tmp_path, refused):
+    (tmp_path / "empty.log").write_text("")
+    words = [tmp_path / "t.toml", "--no-timing"]
+    if verb == "init":
+        words = ["--drives", "1", "-o", tmp_path / "t.toml"]
+    else:
+        words[0].write_text("[[drive]]\nnode = 1\n")
+    said = refused(verb, *words, "--log", tmp_path / "empty.log")
+    assert f"{tmp_path / 'empty.log'}: no frame in the log" in said
+
+
+def test_an_offset_that_is_no_number_is_named_without_a_function_of_ours(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["init", "--id-step", "abc", "-o", str(tmp_path / "t.toml")])
+    said = capsys.readouterr().err
+    assert "argument --id-step: 'abc' is not a whole number, such as 32 or 0x20" in said
+
+
 def test_any_name_of_a_file_is_a_name_in_the_configuration(tmp_path, capsys):
     write_dbc(tmp_path / 'a "b" c.dbc', MOTOR)
     main(["init", "--dbc", str(tmp_path / 'a "b" c.dbc'), "-o", str(tmp_path / "t.toml")])

@@ -118,8 +118,8 @@ def refused(tmp_path, capsys):
         ),
         (BAD + 'never = "perhaps"\n', "line 6: expect[0].never: expected true or false, got "
          "'perhaps'"),
-        ("event = 3\n" + BAD, "line 3: event: expected a list, got 3: write it in [ ], or a "
-         "table under [[..]]"),
+        ("event = 3\n" + BAD, "line 3: event: expected a list, got 3: write it in [ ], or "
+         "[[event]]"),
     ],
 )  # fmt: skip
 def test_one_line_names_the_key_the_value_and_the_cure(refused, text, message):

@@ -38,6 +38,19 @@ def test_no_such_drive(gateway_flags):
 def test_no_such_fault(inverter):
     with pytest.raises(ValueError, match="drive 7"):
         inverter.lose_adhesion(drive=7)
+
+@pytest.mark.parametrize(("call", "said"), [
+    (lambda _, i: i.lose_adhesion(1, depth=90), "^depth: expected 0 to 1, got 90.0: a fraction"),
+    (lambda _, i: i.lose_adhesion(1, depth=0), "^depth: 0 has no effect"),
+    (lambda f, _: f.now("adhesio", 1), "^no flag 'adhesio': expected one of adhesion, thermal, "),
+    (lambda f, _: f.expect("adhesion", "lost", drive=1, within_ms=9), "^no state 'lost' of a flag"),
+    (lambda f, _: f.expect_lost(drive=1, within_ms=-9), "^expected a time of more than 0 ms"),
+    (lambda f, _: f.expect_never_lost(drive=1, for_ms=0), "^expected a time of more than 0 ms"),
+    (lambda f, _: f.expect_lost(drive=1, within_ms=float("nan")), "more than 0 ms, got nan"),
+])
+def test_mistakes_are_plain(call, said, gateway_flags, inverter):
+    with pytest.raises(ValueError, match=said):
+        call(gateway_flags, inverter)
 """
 
 
@@ -84,6 +97,7 @@ def test_a_scenario_that_fails_says_so(failures):
 
 
 def test_mistakes_of_a_test_are_named(failures):
+    assert failures.count("PASSED test_suite.py::test_mistakes_are_plain") == 7
     assert "speeed" in failures
     assert "drive 9 is not one of (1, 2, 3)" in failures
     assert "PASSED test_suite.py::test_no_such_fault" in failures

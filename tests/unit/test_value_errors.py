@@ -21,6 +21,7 @@ class Whole(BaseModel):
     title: str = ""
     part: Part = Part()
     parts: list[Part] = []
+    many: tuple[Part, ...] = ()
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,9 @@ class Whole(BaseModel):
         ({"title": True}, "expected text in quotes, got true"),
         ({"part": "x"}, "expected a table, got 'x': write [part], and its keys below"),
         ({"part": [{}]}, "expected a table, got a list"),
-        ({"parts": {}}, "expected a list, got a table: write it in [ ], or a table under [[..]]"),
+        ({"parts": {}}, "expected a list, got a table: write [[parts]]"),
+        ({"many": {}}, "expected a list, got a table: write [[many]]"),
+        ({"many": "x"}, "expected a list, got 'x': write it in [ ]"),
         ({"kind": "x" * 99}, f"expected 'rail' or 'preset', got '{'x' * 47}.."),
     ],
 )  # fmt: skip

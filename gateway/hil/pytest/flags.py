@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
@@ -19,7 +20,8 @@ SHOWN_NS: Final[Nanos] = 300 * MS
 """Time that a picture shows before the test began to wait."""
 LAST_FRAMES: Final = 12
 OF_THE_SET: Final = ("common_mode", "comm", "sensor")
-"""Flags of the whole train; all others belong to a drive."""
+"""Flags of the whole train."""
+OF_A_DRIVE: Final = ("adhesion", "thermal")
 
 
 class GatewayFlags:
@@ -43,7 +45,7 @@ class GatewayFlags:
         """
         __tracebackhide__ = True
         bench, began = self._bench, self._bench.now_ns
-        wanted = WORDS[state]
+        wanted = _checked(state, within_ms)
 
         def found() -> Nanos | None:
             return first(self._seen(flag, drive), wanted, began + 1)
@@ -65,7 +67,7 @@ class GatewayFlags:
         """
         __tracebackhide__ = True
         bench, began = self._bench, self._bench.now_ns
-        wanted = WORDS[state]
+        wanted = _checked(state, for_ms)
         count = len(self._seen(flag, drive))
 
         def broken() -> bool:
@@ -129,7 +131,7 @@ class GatewayFlags:
         for node in bench.nodes:
             truth = [(t, Flag.BAD if lost else Flag.GOOD) for t, lost in bench.lost[node]]
             rows.append((f"drive {node} truly", picture.strip(truth, first, last)))
-            for flag in ("adhesion", "thermal"):
+            for flag in OF_A_DRIVE:
                 seen = self._seen(flag, node)
                 rows.append((f"drive {node} {flag}", picture.strip(seen, first, last)))
         rows += [(flag, picture.strip(self._seen(flag, 0), first, last)) for flag in OF_THE_SET]
@@ -145,6 +147,20 @@ class GatewayFlags:
     def _seen(self, flag: str, drive: int) -> list[tuple[Nanos, Flag]]:
         if flag in OF_THE_SET:
             drive = 0
+        elif flag not in OF_A_DRIVE:
+            msg = f"no flag {flag!r}: expected one of {', '.join((*OF_A_DRIVE, *OF_THE_SET))}"
+            raise ValueError(msg)
         elif drive not in self._bench.nodes:
             raise ValueError(f"drive {drive} is not one of {self._bench.nodes}: name one of them")
         return self.track.seen.get((flag, drive), [])
+
+
+def _checked(state: str, time_ms: float) -> Flag:
+    """The state by its name. Raises ValueError, also for a time in which nothing can be seen."""
+    if state not in WORDS:
+        msg = f"no state {state!r} of a flag: expected {', '.join(WORDS)}"
+        raise ValueError(msg)
+    if not 0.0 < time_ms < math.inf:
+        msg = f"expected a time of more than 0 ms, got {time_ms:g}"
+        raise ValueError(msg)
+    return WORDS[state]

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal
 
+from pydantic import ValidationError
+
 from sim.scenario import Event
+from sim.scenario_errors import problems_of
 from sim.simulation import Simulation
 
 
@@ -29,7 +32,11 @@ class Inverter:
         for_s: duration in s; None: for good. Raises ValueError for an invalid event.
         """
         fields = {"at_s": self._now_s(), "for_s": for_s, "drive": drive, "kind": kind, **more}
-        self._simulation.inject(Event.model_validate(fields))
+        try:
+            event = Event.model_validate(fields)
+        except ValidationError as error:
+            raise ValueError("; ".join(problems_of(error, Event))) from None
+        self._simulation.inject(event)
 
     def lose_adhesion(
         self, drive: int | Literal["all"], depth: float = 1.0, for_s: float | None = None

@@ -10,7 +10,7 @@ from dbc.frame import Nanos
 from gateway.core.gateway import Gateway
 from gateway.hil.bench import Alter, Tick, unaltered
 from gateway.hil.simbus import newest
-from gateway.io.bus import open_transport
+from gateway.io.bus import open_present
 from gateway.io.canopen_node import CanopenNode, meant
 from gateway.io.realtime import Ticker
 from gateway.io.transport import Allow
@@ -44,9 +44,9 @@ class BusWorld:
             self._core = Gateway(config, codec, self._ticker.clock())
             creep = config.adhesion.send_creep
             allow = Allow.from_codec(codec, config.nodes, nmt_master=True, creep=creep)
-            self._theirs = open_transport(bus, allow)
+            self._theirs = open_present(bus, allow)
             self._node = CanopenNode(config.nodes, nmt_master=True)
-        self._bus = open_transport(bus)
+        self._bus = open_present(bus)
         self._start: Nanos | None = None
 
     def step(self) -> Tick:
