@@ -153,7 +153,6 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
 
 
 def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:
-
     names = tuple(dict.fromkeys(asked or known))
     unknown = [name for name in names if name not in known]
     if unknown:

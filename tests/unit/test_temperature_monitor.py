@@ -213,9 +213,10 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         bus.lost[:], bus.off[:], bus.gone[:] = False, 0.0, False
         side.hear(bus.inbox, bus.now, inputs)
     motors, unexplained = side.model.motors, side.model.known_motors["unexplained"]
-    out = side.currents
+    out, faulty = side.currents, set()
     for _ in range(1000):
         unexplained[:] = rng.random(3) < 0.1
+        side.sensors.drives["sensor"]["bias_k"] = np.where(rng.random((3, 3)) < 0.03, 4.0, 0.0)
         motors["unknown_s"] = rng.choice([0.0, 5.0, 5.1], 3, p=[0.8, 0.1, 0.1])
         motors["judged"], out["cut_out"] = rng.random(3) < 0.9, rng.random(3) < 0.1
         motors["off_k"] = np.where(rng.random((3, 3)) < 0.4, np.nan, 1.0)
@@ -238,6 +239,7 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
             fault, whose = sensor_verdict(side.sensors, k, bus.now)
             if fault is not FaultClass.NONE:
                 wanted = reference.beside_fault(fault, whose, words)
+                faulty.add(wanted[0])
             else:
                 sensor = Flag.UNKNOWN if not_yet_valid(side.sensors, k) else Flag.GOOD
                 thermal, own, *rest = words
@@ -251,6 +253,7 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         FaultSensor.AMBIENT, FaultSensor.CURRENT,
     }  # fmt: skip
     assert Reason.CONFIG in {reason for _, _, reason, *_ in met}
+    assert faulty == {Flag.BAD, Flag.UNKNOWN}, "hot beside a faulty sensor, or not known"
 
 
 @pytest.mark.parametrize("seed", range(2))
