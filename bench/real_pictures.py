@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from bench import real_recordings as recordings
-from bench.real_temperatures import judged, kona_runs
 from dbc.frame import SECOND
 from gateway.core.codes import Flag, Reason
 from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE
@@ -98,7 +97,7 @@ def _icub(plt: Any) -> Any:
 
 
 def _inverter(plt: Any) -> Any:
-    runs = judged(recordings.to_accuracy(recordings.learn_inverter()))
+    runs = recordings.judged(recordings.to_accuracy(recordings.learn_inverter()))
     widths = [max(said.t_s[-1], 60.0) for said in runs.values()]
     figure, axes = plt.subplots(
         2, len(runs), figsize=(12, 5), sharex="col", sharey="row", layout="constrained",
@@ -145,7 +144,7 @@ def _kona(plt: Any) -> Any:
     top.set_title(
         "An electric car's inverter powers up: 0x28 (0 degC) is a default, no temperature"
     )
-    runs = list(kona_runs().values())[:2]
+    runs = list(recordings.kona_runs().values())[:2]
     flags = np.column_stack([said.sensor[:, 0] for said in runs])
     _strip(strip, runs[0], flags, ["status used", "status not used"])
     strip.set_ylabel("sensor flag")

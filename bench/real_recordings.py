@@ -35,6 +35,8 @@ LEAST_C, MOST_C = -60.0, 300.0
 MARGIN: Final = 1.5
 """That of `traction-gateway calibrate`."""
 
+POWER_UP_S: Final = 1955.7
+"""Stamp in the Kona's log from which it starts anew."""
 JOINTS: Final = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
 ICUB_CODES: Final = (-30.0, -50.0, -70.0)
 """Not configured, lost configuration, no measurement for 10 s; -90, no answer, is out of range."""
@@ -213,3 +215,28 @@ def holding_rule(calibration: Calibration) -> Calibration:
     noisy = {"largest_step_k": (1.0,) * len(POINTS)}
     motors = tuple(motor.model_copy(update=noisy) for motor in calibration.motor)
     return calibration.model_copy(update={"motor": motors})
+
+
+def judged(cells: Calibration, learnt_s: float = LEARNT_S) -> dict[str, Said]:
+    """Every recording by its label; of F0 only what was not learnt from."""
+    return {
+        label: judge(
+            after(inverter(label), learnt_s) if label == "F0" else inverter(label),
+            HALF_BRIDGES,
+            cells,
+        )
+        for label in LABELS
+    }
+
+
+def kona_runs() -> dict[str, Said]:
+    """The log whole and from power-up, with the status byte and without."""
+    frames = kona_frames()
+    cut = [f for f in frames if f.t_ns >= POWER_UP_S * SECOND]
+    return {
+        f"{name}, status byte {'used' if status else 'not used'}": judge(
+            kona(chosen, status), [POINTS]
+        )
+        for name, chosen in (("whole log", frames), ("from power-up", cut))
+        for status in (True, False)
+    }

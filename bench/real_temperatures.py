@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from bench.real_pictures import draw
 from bench.real_recordings import (
     BRIDGES,
     HALF_BRIDGES,
@@ -27,8 +28,9 @@ from bench.real_recordings import (
     icub,
     inverter,
     judge,
-    kona,
+    judged,
     kona_frames,
+    kona_runs,
     learn_icub,
     learn_inverter,
     reading,
@@ -36,13 +38,10 @@ from bench.real_recordings import (
 )
 from dbc.frame import SECOND
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
-from gateway.settings.calibration import POINTS, Calibration
 from tests.stations import Temperatures
 
 FROZEN_S: Final = 60.0
 """When HB2 is made to hold its value, s of F0's judged part: no real sensor of these did."""
-POWER_UP_S: Final = 1955.7
-"""Stamp in the Kona's log from which it starts anew."""
 
 
 def kinds(said: Said, k: int) -> set[FaultClass]:
@@ -177,34 +176,9 @@ def frozen_bridge() -> list[Temperatures]:
     ]
 
 
-def judged(cells: Calibration, learnt_s: float = LEARNT_S) -> dict[str, Said]:
-    """Every recording by its label; of F0 only what was not learnt from."""
-    return {
-        label: judge(
-            after(inverter(label), learnt_s) if label == "F0" else inverter(label),
-            HALF_BRIDGES,
-            cells,
-        )
-        for label in LABELS
-    }
-
-
 def hot_bridges(said: Said) -> list[str]:
     """Half-bridges whose thermal flag was bad at some time."""
     return [n for k, n in enumerate(BRIDGES) if (said.thermal[:, k] == Flag.BAD).any()]
-
-
-def kona_runs() -> dict[str, Said]:
-    """The log whole and from power-up, with the status byte and without."""
-    frames = kona_frames()
-    cut = [f for f in frames if f.t_ns >= POWER_UP_S * SECOND]
-    return {
-        f"{name}, status byte {'used' if status else 'not used'}": judge(
-            kona(chosen, status), [POINTS]
-        )
-        for name, chosen in (("whole log", frames), ("from power-up", cut))
-        for status in (True, False)
-    }
 
 
 def kona_lines() -> Iterator[str]:
@@ -221,8 +195,6 @@ def kona_lines() -> Iterator[str]:
 
 
 def main() -> None:
-    from bench.real_pictures import draw
-
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, help="directory of the pictures")
     options = parser.parse_args()

@@ -11,9 +11,11 @@ from bench.real_recordings import (
     JOINTS,
     LABELS,
     LEG,
+    POWER_UP_S,
     holding_rule,
     icub,
     judge,
+    judged,
     kona,
     kona_frames,
     learn_icub,
@@ -21,15 +23,7 @@ from bench.real_recordings import (
     reading,
     to_accuracy,
 )
-from bench.real_temperatures import (
-    FROZEN_S,
-    POWER_UP_S,
-    deviations,
-    frozen_bridge,
-    hot_bridges,
-    judged,
-    kinds,
-)
+from bench.real_temperatures import FROZEN_S, deviations, frozen_bridge, hot_bridges, kinds
 from dbc.frame import SECOND
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.settings.calibration import POINTS
