@@ -53,7 +53,7 @@ def parts(arguments):
         "other processors": [sys.executable, "-m", "tests.other_processors"],
         "accidents": [sys.executable, "-m", "tests.foreign.mutated", "--logs", "500",
                       "--configurations", "200"],
-        "fuzzer": ["make", "fuzz-tick"],
+        "fuzzer": ["make", "fuzz-tick", "ARGS="],  # those of pytest are none of its own
     }  # fmt: skip
 
 
