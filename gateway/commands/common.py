@@ -36,17 +36,6 @@ def positive_seconds(text: str) -> float:
     return seconds
 
 
-def percentage(text: str) -> float:
-    """Parse a share in percent. Raises ArgumentTypeError unless it is 0 to 100."""
-    try:
-        share = float(text)
-    except ValueError:
-        share = math.nan
-    if not 0.0 <= share <= 100.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a percentage: expected 0 to 100")
-    return share
-
-
 def number_of_jobs(text: str) -> int:
     """Parse a number of processes. Raises ArgumentTypeError unless it is 1 to 256."""
     if not text.isdecimal() or not 1 <= int(text) <= 256:
@@ -56,11 +45,8 @@ def number_of_jobs(text: str) -> int:
 
 def refuse_overwriting(options: argparse.Namespace) -> None:
     """Raise ConfigError if a file that the verb writes is also one that it reads or writes."""
-    from gateway.settings.config import ConfigError
-
     values = vars(options)
-    truth = ("truth",) if options.verb == "sim" else ()
-    for key in ("output", "junit", *truth):
+    for key in ("output", "junit", "truth"):
         if not values.get(key):
             continue
         path = Path(values[key])

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import FAILED, GOOD, names_bus, percentage
+from gateway.commands.common import FAILED, GOOD, names_bus
 from gateway.commands.progress import track
 from gateway.io.console import note
+from gateway.reports.known import percentage
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:

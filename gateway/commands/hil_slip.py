@@ -9,7 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import FAILED, GOOD, names_bus, percentage
+from gateway.commands.common import FAILED, GOOD, names_bus
+from gateway.reports.known import percentage
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
@@ -83,13 +84,20 @@ def short_of(known: Shares, wanted: Mapping[str, float]) -> list[str]:
     ]
 
 
+def percentage(text: str) -> float:
+    """Parse a share in percent. Raises ArgumentTypeError unless it is 0 to 100."""
+    try:
+        share = float(text)
+    except ValueError:
+        share = math.nan
+    if not 0.0 <= share <= 100.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a percentage: expected 0 to 100")
+    return share
+
+
 def wanted(word: str) -> tuple[str, float]:
     """Flag and least percentage from `90` or `thermal=90`, for argparse and pytest."""
     flag, _, number = word.rpartition("=")
-    try:
-        percent = float(number)
-    except ValueError:
-        percent = -1.0
-    if not 0.0 <= percent <= 100.0 or (flag or FLAGS[0]) not in FLAGS:
-        raise argparse.ArgumentTypeError(f"{word!r} is no percentage, such as 90 or thermal=50")
-    return flag or FLAGS[0], percent
+    if (flag or FLAGS[0]) not in FLAGS:
+        raise argparse.ArgumentTypeError(f"{flag!r} is no flag: expected {' or '.join(FLAGS)}")
+    return flag or FLAGS[0], percentage(number)

@@ -97,12 +97,15 @@ def test_it_is_told_of_a_log_of_which_too_much_was_dropped_as_well(capsys, log, 
     assert "warning" in err
 
 
-@pytest.mark.parametrize("word", ["101", "-1", "nan", "many", "sensor=90", "=", "thermal="])
-def test_what_is_no_percentage_is_refused(capsys, log, word):
+@pytest.mark.parametrize(("word", "problem"), [
+    ("sensor=90", "'sensor' is no flag: expected adhesion or thermal"),
+    *((word, "is not a percentage") for word in ("101", "-1", "nan", "many", "=", "thermal=")),
+])  # fmt: skip
+def test_what_is_no_percentage_of_a_flag_is_refused(capsys, log, word, problem):
     with pytest.raises(SystemExit) as ended:
         replayed(capsys, log, f"--expect-known={word}")
     assert ended.value.code == 2
-    assert "is no percentage" in capsys.readouterr().err
+    assert problem in capsys.readouterr().err
 
 
 def test_a_flag_that_knew_at_the_end_knew_until_the_end():

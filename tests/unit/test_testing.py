@@ -152,7 +152,7 @@ def test_flags_that_know_for_less_than_is_expected_are_a_failure(tmp_path):
     assert "thermal of drive 1 was known for" in done.stdout
     done = run_pytest(tmp_path, "--hil-expect-known", "most")
     assert done.returncode == 4
-    assert "--hil-expect-known: 'most' is no percentage" in done.stderr
+    assert "--hil-expect-known: 'most' is not a percentage" in done.stderr
 
 
 OF_MINE = """
