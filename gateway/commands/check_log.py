@@ -18,7 +18,7 @@ from dbc.logs.opening import open_reader
 from dbc.spec import MessageSpec
 from gateway.commands.common import pattern_of
 from gateway.commands.progress import Progress
-from gateway.io.replay import BadLogError, OneChannel
+from gateway.io.replay import NO_FRAME, BadLogError, OneChannel
 from gateway.mapping import command_fit, fit, rating_fit
 from gateway.mapping.bus_fit import Traffic
 from gateway.mapping.plan import NO_MESSAGE, fitted, plans
@@ -43,7 +43,7 @@ def print_findings(
     values = _Values(config, codec)
     with Progress("first minute of the log", LOOKED_AT_S) as progress:
         if not values.add_all(OneChannel(reader.blocks(), channel), progress):
-            raise BadLogError(f"{path}: no frame in the log (or none on this channel)")
+            raise BadLogError(f"{path}: {NO_FRAME}")
     problems = _print("gateway", values.traffic.strangers())
     motors = {drive.node: config.motors[drive.motor] for drive in config.drive}
     asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]

@@ -122,13 +122,8 @@ def _draw(path: Path, of: Sequence[Cell]) -> None:
         figure = Figure(figsize=(figures.WIDTH_IN, 3.2 * len(groups)), layout="constrained")
         FigureCanvasSVG(figure)
         axes = figure.subplots(len(groups), len(TORQUES), sharex=True, sharey=True, squeeze=False)
-        looks = list(
-            zip(
-                (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE, figures.SKY),
-                "os^Dv",
-                strict=True,
-            )
-        )
+        colours = (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE, figures.SKY)
+        looks = list(zip(colours, "os^Dv", strict=True))
         for cell in of:
             axis = axes[groups.index(cell.nodes), TORQUES.index(cell.torque)]
             colour, marker = looks[len(axis.lines) % len(looks)]

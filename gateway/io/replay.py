@@ -10,7 +10,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,9 @@ class Replayed(NamedTuple):
         return self.gateway.inbox.counts["time_back"]
 
 
+NO_FRAME: Final = "no frame in the log (or none on this channel)"
+
+
 class BadLogError(Exception):
     """The log cannot be replayed; the text says why and what to do."""
 
@@ -139,7 +142,7 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink | B
     stream = iter(blocks)
     block = next(stream, EMPTY)
     if not block.size:
-        raise BadLogError("no frame in the log (or none on this channel)")
+        raise BadLogError(NO_FRAME)
     first = block.frame(0)
     gateway = make(first.t_ns)
     clock = LogTime(first.t_ns, period_ns)

@@ -12,7 +12,7 @@ from dbc.frame import MS
 from dbc.frames import Block
 from gateway.io import extras
 from gateway.io.logtime import LogTime
-from gateway.io.replay import BadLogError, Log, LogError, OneChannel, open_log
+from gateway.io.replay import NO_FRAME, BadLogError, Log, LogError, OneChannel, open_log
 from gateway.io.whole_file import whole
 from gateway.logfiles import frames as frame_files
 from gateway.logfiles.frames import Sink
@@ -215,7 +215,7 @@ def convert(
             if source.cut is not None and (strict or not source.read):
                 raise source.cut
             if not source.read:
-                raise BadLogError("no frame in the log (or none on this channel)")
+                raise BadLogError(NO_FRAME)
         finally:
             sink.close()
         sink.left_out["time_back"] += source.dropped

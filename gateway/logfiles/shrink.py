@@ -22,7 +22,7 @@ from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
 from gateway.core.start_record import State, set_state, state_of
 from gateway.io.logtime import LogTime
-from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
+from gateway.io.replay import NO_FRAME, BadLogError, Briefly, OneChannel, open_log, replay
 from gateway.logfiles.ddmin import Mask, minimise
 from gateway.settings.config import Config, ConfigError
 
@@ -128,7 +128,7 @@ class _Log:
         self.can_id = codec.by_name[SENT_IN[wanted.kind]].can_id
         first = next(iter(self._read()), None)
         if first is None:
-            raise BadLogError(f"{path}: no frame in the log (or none on this channel)")
+            raise BadLogError(f"{path}: {NO_FRAME}")
         self.first_ns = first.t_ns.item(0)
 
     def new(self, start_ns: Nanos) -> Gateway:

@@ -14,7 +14,7 @@ from dbc.frame import MS, SECOND, Nanos
 from dbc.frames import EMPTY
 from dbc.text import printable
 from gateway.io.logtime import LogTime, Steady
-from gateway.io.replay import BadLogError, OneChannel, open_log
+from gateway.io.replay import NO_FRAME, BadLogError, OneChannel, open_log
 from gateway.monitor.model.observer import Observer
 from gateway.monitor.model.snapshot import Snapshot
 
@@ -62,7 +62,7 @@ class LogSource:
                 first = block.t_ns.item(0) if first is None else first
                 latest = block.t_ns.item(-1)
         if first is None:
-            raise BadLogError("no frame in the log (or none on this channel)")
+            raise BadLogError(NO_FRAME)
         self._first_ns: Nanos = first
         self._last_ns: Nanos = max(first, latest)
         self._target_ns: Nanos = first

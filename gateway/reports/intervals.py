@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gateway.core.codes import SENSOR_FAULTS, FaultClass, FaultSensor, Flag, Reason
 from gateway.core.flags import FlagKind
 from gateway.core.view import DriveView
+from gateway.reports.known import FLAGS
 from gateway.reports.record import ADHESION, COMMON, FAULT, NEITHER, camel
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 KEPT: Final = 5000
 """Intervals of each kind (flag and state) that are kept; further ones are only counted."""
 BAD: Final = frozenset({"AdhesionLost", "Fault", "AllDrives"})
-OF_DRIVE: Final = ("adhesion", "thermal")
-"""Flags in `flags.csv`."""
 _WORDS: Final = ("adhesion_reason", "thermal_reason", "fault_class", "fault_sensor")
 _TRAIN: Final = ("common_mode", "overrun")
 OTHERS: Final = ("sensor", "comm", "estimator", "common mode", "overrun")
@@ -137,7 +136,7 @@ class Intervals:
 
     def of_drives(self) -> Iterator[Interval]:
         """Intervals of the flags in `flags.csv`."""
-        return (i for i in self.kept if i.flag in OF_DRIVE)
+        return (i for i in self.kept if i.flag in FLAGS)
 
     def other_bad(self) -> Iterator[Interval]:
         """Intervals in which any other flag was bad."""

@@ -10,6 +10,7 @@ from typing import Final
 from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
+"""Flags of a drive."""
 UNKNOWN: Final = "Unknown"
 Shares = Mapping[str, Mapping[int, float]]
 """Percent of the time, by flag and node."""

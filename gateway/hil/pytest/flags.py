@@ -21,7 +21,6 @@ SHOWN_NS: Final[Nanos] = 300 * MS
 LAST_FRAMES: Final = 12
 OF_THE_SET: Final = ("common_mode", "comm", "sensor")
 """Flags of the whole train."""
-OF_A_DRIVE: Final = ("adhesion", "thermal")
 
 
 class GatewayFlags:
@@ -131,7 +130,7 @@ class GatewayFlags:
         for node in bench.nodes:
             truth = [(t, Flag.BAD if lost else Flag.GOOD) for t, lost in bench.lost[node]]
             rows.append((f"drive {node} truly", picture.strip(truth, first, last)))
-            for flag in OF_A_DRIVE:
+            for flag in known.FLAGS:
                 seen = self._seen(flag, node)
                 rows.append((f"drive {node} {flag}", picture.strip(seen, first, last)))
         rows += [(flag, picture.strip(self._seen(flag, 0), first, last)) for flag in OF_THE_SET]
@@ -147,8 +146,8 @@ class GatewayFlags:
     def _seen(self, flag: str, drive: int) -> list[tuple[Nanos, Flag]]:
         if flag in OF_THE_SET:
             drive = 0
-        elif flag not in OF_A_DRIVE:
-            msg = f"no flag {flag!r}: expected one of {', '.join((*OF_A_DRIVE, *OF_THE_SET))}"
+        elif flag not in known.FLAGS:
+            msg = f"no flag {flag!r}: expected one of {', '.join((*known.FLAGS, *OF_THE_SET))}"
             raise ValueError(msg)
         elif drive not in self._bench.nodes:
             raise ValueError(f"drive {drive} is not one of {self._bench.nodes}: name one of them")

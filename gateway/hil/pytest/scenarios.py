@@ -32,7 +32,7 @@ class ScenarioFile(pytest.File):
         """A line per flag that was known for less of the time than expected."""
         self._outcome: list[list[tuple[Verdict, str]]] | None = None
         for number, expect in enumerate(self.scenario.expect):
-            who = f"-{expect.drive}" if expect.flag in ("adhesion", "thermal") else ""
+            who = f"-{expect.drive}" if expect.flag in known.FLAGS else ""
             name = f"{number}-{expect.flag}{who}-{'never-' if expect.never else ''}{expect.is_}"
             yield ScenarioItem.from_parent(self, name=name, number=number)
         if not self.scenario.expect:
