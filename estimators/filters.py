@@ -8,6 +8,7 @@ import numpy as np
 from _traction_core import lib
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.records import (
     FILTER,
     FILTER_NOISE,
@@ -17,7 +18,7 @@ from dbc.records import (
     pointer,
     zeros,
 )
-from estimators.models.pmsm import Array, Noise
+from estimators.models.pmsm import Noise
 
 KAPPA: Final = -2.0
 """kappa of the UKF: n + kappa = 3, so that the sigma points match the kurtosis of a Gaussian."""

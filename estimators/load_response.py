@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from estimators.models.pmsm import Array
+from dbc.arrays import Array
 
 SETTLED: Final = 1e-9
 """Relative change of a covariance below which it is steady."""

@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 from _traction_core import ffi, lib
-from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from estimators._core import pointer
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 def window(samples: int, motors: int, points: int) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+from dbc.arrays import Array
 from estimators.detect import kmeans, message_passing, paper, paper_vb
 from estimators.detect.kmeans import KMeansDetector
 from estimators.detect.median import MedianDetector
@@ -58,7 +59,7 @@ def make(
     return kind(**how)
 
 
-GLOBAL_ESTIMATES: Final[dict[str, Callable[[paper.Array], paper.Array]]] = {
+GLOBAL_ESTIMATES: Final[dict[str, Callable[[Array], Array]]] = {
     "paper_vb": paper_vb.global_estimates,
     "vmp": message_passing.global_estimates,
     "kmeans": kmeans.global_estimates,

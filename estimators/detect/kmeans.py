@@ -17,8 +17,8 @@ from typing import ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.detect import paper
-from estimators.detect.paper import Array
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
 ITERATIONS: Final = 2

@@ -22,9 +22,9 @@ from typing import ClassVar, Final, Literal, NamedTuple
 import numpy as np
 from _traction_core import lib
 
+from dbc.arrays import Array
 from estimators._core import pointer
 from estimators.detect import paper
-from estimators.detect.paper import Array
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
 Node = Literal["I", "pi", "mu", "Lambda"]

@@ -20,9 +20,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Arrays = tuple[Array, ...]
 

@@ -15,11 +15,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.detect.protocol import Evidence, Opinion, nobody
-
-Array = NDArray[np.float64]
 
 
 class Priors(NamedTuple):

@@ -13,12 +13,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dbc.arrays import Array
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-Array = NDArray[np.float64]
 
 I_A, I_B, W_E, THETA_E, T_L = range(5)
 """Columns of x."""

@@ -11,12 +11,10 @@ from typing import Final
 
 import numpy as np
 from _traction_core import lib
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators._core import Records, pointer
 from estimators.thermal.monitor import Coverage, ThermalMonitor
-
-Array = NDArray[np.float64]
 
 START: Final = 5
 """First blocks, which are left out: the filter still finds the state of the motor."""

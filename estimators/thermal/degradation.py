@@ -18,10 +18,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from dbc.arrays import Array, Flags
 
 GAUSS: Final = 1.4826
 """Standard deviation over median absolute deviation, of a normal distribution."""

@@ -26,11 +26,10 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators._core import pointer, records
 from estimators.thermal import model
 from estimators.thermal.model import Inputs, predict
-
-Array = NDArray[np.float64]
 
 HEAT: Final = ("overheating", "cooling_loss", "bearing_de", "bearing_nde", "winding_resistance")
 SENSORS: Final = ("bias_stator", "bias_de", "bias_nde")

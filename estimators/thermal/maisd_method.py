@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal import degradation
 from estimators.thermal.record import Record
 from estimators.thermal.rivals.dpca import filled, usual
 from estimators.thermal.sigma_mixed import MIXING, Estimates, Lumps, SigmaMixedFilter, lumps
 
-Array = NDArray[np.float64]
 LIMIT: float = 0.99
 
 

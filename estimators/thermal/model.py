@@ -17,10 +17,9 @@ import numpy as np
 from _traction_core import lib
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators._core import Records, pointer, records
 from estimators.thermal.record import Record
-
-Array = NDArray[np.float64]
 
 NAMES: Final = (
     "a", "k_w", "k_c", "e_1", "e_2", "g_c", "g_f", "h_0", "h_1",

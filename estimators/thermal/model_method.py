@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators._core import Records
 from estimators.thermal import coverage, hypotheses, model
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
@@ -20,8 +20,6 @@ from estimators.thermal.model import inputs_of, predict, simulate
 from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor, followed
 from estimators.thermal.record import Record, mean_of_known, of_driven_motors, spacing, split
 from estimators.thermal.system_identification import first_readings, identify
-
-Array = NDArray[np.float64]
 
 SCALES = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
 """Scales of the disturbances that are tried; the likeliest on fault-free data is taken."""

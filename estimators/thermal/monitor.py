@@ -25,12 +25,11 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators._core import Addressed, Records, pointer, records
 from estimators.thermal import model, step_detector
 from estimators.thermal.hypotheses import HEAT, KINDS
 from estimators.thermal.record import CUT_OUT, Record
-
-Array = NDArray[np.float64]
 
 BLOCK_SHARE: Final = 0.08
 """Length of a block of readings, as a share of the quickest lump's time constant."""

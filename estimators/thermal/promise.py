@@ -13,13 +13,11 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.monitor import RAISE, ThermalMonitor, followed
 from estimators.thermal.record import Record, spacing
 from estimators.tolerance import BROKEN, STORED, Promise, least_rate, needed, order_of
-
-Array = NDArray[np.float64]
 
 HOUR_S: Final = 3600.0
 CERTAIN: Final = 30.0

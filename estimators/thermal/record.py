@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from dbc.arrays import Array, Ints
 
 POINTS: Final = ("stator", "drive end", "non-drive end")
 CUT_OUT: Final = 1.0 / 400.0

@@ -21,12 +21,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from _traction_core import lib
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators._core import Records, pointer, records
 from estimators.thermal.record import Record, fading
-
-Array = NDArray[np.float64]
 
 SIGMA_MIXED_CONFIG: Final = records.SIGMA_MIXED_CONFIG
 SIGMA_MIXED_SAMPLE: Final = records.SIGMA_MIXED_SAMPLE

@@ -14,11 +14,8 @@ from typing import Final
 
 import numpy as np
 from _traction_core import lib
-from numpy.typing import NDArray
 
 from estimators._core import Records, pointer, records
-
-Array = NDArray[np.float64]
 
 BEFORE_S, AFTER_S, SETTLED_S = 20.0, 5.0, 25.0
 STEP_K: Final = 1.5

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from estimators.thermal.model import (
     COUNT,
     E_1,
@@ -32,8 +32,6 @@ from estimators.thermal.model import (
     predict,
 )
 from estimators.thermal.record import Record
-
-Array = NDArray[np.float64]
 
 PRIOR_SIGMA: Final = np.array([0.5] * RATES + [5.0] * 3)
 """Prior of the logarithm of a rate around the typical one, and of an offset, K."""

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.codec import Codec, bind
 from gateway.core.codes import Health
 from gateway.io.whole_file import whole
@@ -38,8 +39,6 @@ SLOW: Final = 16
 """Periods of 125 us in the 2 ms of the classic bus."""
 STANDING_S: Final = 0.5
 RAMP_S: Final = 0.25
-
-Array = NDArray[np.float64]
 
 
 class Bus(NamedTuple):

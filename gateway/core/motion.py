@@ -14,8 +14,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.frame import SECOND, Nanos
 from dbc.records import MOTION, MOTION_MONITOR, PLAUSIBILITY, Addressed, Records
 from gateway.core.channel import SAMPLE_NS
@@ -39,8 +39,6 @@ LEAST_STEPS: Final = 10.0
 LEAST_SHARE: Final = 0.01
 """An unchanged current is a repeated one if it should have changed by more than both: steps of its
 resolution, and per unit of rated current (noise)."""
-
-Array = NDArray[np.float64]
 
 
 class Timebase(NamedTuple):

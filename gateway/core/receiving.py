@@ -10,13 +10,12 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc.arrays import Ints
 from dbc.codec import Codec
 from dbc.frame import Nanos
 from dbc.frames import MAX_DATA_BYTES
 from dbc.records import DRIVE_INPUT, ID_ENTRY, RECEIVER, Addressed, Records
 from gateway.core.supervision import Supervision
-
-Ints = NDArray[np.int64]
 
 
 class Tally(IntEnum):

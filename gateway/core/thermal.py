@@ -13,6 +13,7 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.frame import SECOND, Nanos
 from dbc.records import (
     MOTOR_CURRENT,
@@ -30,8 +31,6 @@ from gateway.core.temperature import SensorMonitor
 from gateway.core.view import Wear
 from gateway.settings.calibration import POINTS, Calibration
 from gateway.settings.config import ConfigError
-
-Array = NDArray[np.float64]
 
 AMBIENT: Final = len(POINTS)
 """Index of the ambient temperature in a reading."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from gateway.hil.slip_plant import Controller, Seen
 from gateway.hil.slip_rails import AXLES
 
-Array = NDArray[np.float64]
 STEP_S: Final = 0.01
 
 

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from gateway.hil.slip_rails import AXLE_M, AXLES, Track
 from sim.physics.adhesion import SPEED_FLOOR_M_S, Rail, traction_coefficient
 from sim.physics.plant import (
@@ -27,7 +28,6 @@ from sim.physics.plant import (
     set_slip_limiter,
 )
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.int64]
 
 MOTOR: Final = "traction_350kw"

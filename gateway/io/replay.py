@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.candump.reader import LogError, LogReader, Reader
 from dbc.frame import Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
@@ -28,7 +28,6 @@ MOST_TICKS = 4096
 REPORTED = 200
 """Most characters that a message quotes of a line that is no frame, its fault included."""
 
-Array = NDArray[np.float64]
 Sink = Callable[[Nanos, list[Frame], Gateway], None]
 """Called for every tick with now, the frames sent, and the gateway, whose view is built on request.
 

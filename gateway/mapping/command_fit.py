@@ -11,11 +11,9 @@ from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from gateway.mapping.fit import Finding
-
-Array = NDArray[np.float64]
 
 LEAST: Final = 30
 """Fewest commands that can be compared."""

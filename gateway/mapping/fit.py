@@ -13,9 +13,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from gateway.settings.motors import Motor
-
-Array = NDArray[np.float64]
 
 SLOW: Final = (0.3, 1.5)
 """Largest electrical angle between two samples, rad, that shows the sense of rotation; tried in

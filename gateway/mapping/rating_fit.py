@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from gateway.mapping.fit import LEAST, Array, Finding, Measured
+from dbc.arrays import Array
+from gateway.mapping.fit import LEAST, Finding, Measured
 from gateway.settings.motors import Motor
 
 OVERLOAD: Final = 5.0

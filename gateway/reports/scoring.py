@@ -26,13 +26,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array, Flags
 from dbc.frame import Nanos
 from gateway.core.codes import Flag
 from gateway.reports.intervals import Interval
 from gateway.reports.truth import Event, Row
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 EDGE_S: Final = 0.03
 """No flag is false within this time after an event; no frame counts so near to an edge of it."""

@@ -12,10 +12,9 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.records import DRIVE_ROW, TICK_LOG, TICK_ROW, Records
 from gateway.core.gateway import Gateway
-
-Array = NDArray[np.float64]
 
 MOST: Final = 8
 """Ticks processed together while a live loop waits for them."""

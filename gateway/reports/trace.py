@@ -10,15 +10,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from gateway.core.codes import Flag
 from gateway.core.flags import FlagKind
 
 if TYPE_CHECKING:
     from gateway.reports.ticks import Ticks
 
-Array = NDArray[np.float64]
 
 MOST: Final = 1024
 """Most bins; a long run has at least half as many, and a figure is less than 600 points wide."""

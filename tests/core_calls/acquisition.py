@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from _traction_core import ffi, lib
 
+from dbc.arrays import Array
 from dbc.records import ACQUISITION, ACQUISITION_LIMITS, Columns, pointer, zeros
-from estimators.models.pmsm import Array
 
 PAIRS: Final = lib.ACQUISITION_PAIRS
 """Consecutive plausible pairs of chords before a drive is ready."""

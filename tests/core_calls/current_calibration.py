@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from _traction_core import ffi, lib
 
+from dbc.arrays import Array
 from dbc.records import CURRENT_CALIBRATION, Columns, pointer, zeros
-from estimators.models.pmsm import Array
 
 
 def start(n: int) -> Columns:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.arrays import Array
 from dbc.records import Columns
 from estimators.filters import noise_records, run, settings, unstarted
-from estimators.models.pmsm import Array, Noise
+from estimators.models.pmsm import Noise
 
 
 def sweep(

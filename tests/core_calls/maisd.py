@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from _traction_core import lib
 
+from dbc.arrays import Array, Flags
 from estimators._core import pointer
-from estimators.maisd import Array, Flags
 
 
 def push(ring: Array, seen: int, values: Array, present: Flags) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from _traction_core import lib
 
+from dbc.arrays import Array
 from estimators._core import pointer
-from estimators.thermal.step_detector import MOST_SAMPLES, SLOWEST_S, Array, config, window
+from estimators.thermal.step_detector import MOST_SAMPLES, SLOWEST_S, config, window
 
 
 def offsets(residual: Array, spacing_s: float) -> Array:

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.models.pmsm import T_L, THETA_E, W_E, Array, Noise, Pmsm, Rated
+from dbc.arrays import Array
+from estimators.models.pmsm import T_L, THETA_E, W_E, Noise, Pmsm, Rated
 from tests.core_calls.acquisition import Consistency
 from tests.reference import motor_model
 

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimators.models.pmsm import I_A, I_B, T_L, THETA_E, W_E, Array, Pmsm
+from dbc.arrays import Array
+from estimators.models.pmsm import I_A, I_B, T_L, THETA_E, W_E, Pmsm
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.thermal.record import Array, Record, features
+from dbc.arrays import Array
+from estimators.thermal.record import Record, features
 
 Scorer = Callable[[Record], Array]
 """(K,) statistic >= 0 per sample, larger = more suspicious, from samples up to it; NaN if early."""

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.thermal.record import Array, Record
+from dbc.arrays import Array
+from estimators.thermal.record import Record
 from estimators.thermal.rivals.dpca import TINY, Scorer, View, span
 
 

@@ -25,8 +25,9 @@ from typing import NamedTuple
 import numpy as np
 from _traction_core import ffi, lib
 
+from dbc.arrays import Array
 from estimators._core import pointer, records
-from estimators.thermal.record import Array, Record
+from estimators.thermal.record import Record
 from estimators.thermal.rivals.dpca import TINY, Scorer, moving, span, usual
 
 LOSSES = np.geomspace(1.0 / 14_400.0, 1.0 / 120.0, 24)

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.thermal.record import Array, Ints, Record, features
+from dbc.arrays import Array, Ints
+from estimators.thermal.record import Record, features
 from estimators.thermal.rivals.dpca import TINY, Scorer, against_others, filled, moving, span, usual
 
 

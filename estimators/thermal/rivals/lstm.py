@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.thermal.record import Array, Record
+from dbc.arrays import Array
+from estimators.thermal.record import Record
 from estimators.thermal.rivals.dpca import Scorer, span, usual
 from estimators.thermal.rivals.jitl import Norm, rises
 
