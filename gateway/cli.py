@@ -162,17 +162,17 @@ def _printed(words: list[str]) -> int:
 
 def _run_command(words: list[str]) -> int:
     """Run the command. Lets signals, broken pipes and errors of this program through."""
-    from gateway.io import quick_start as leanstart
+    from gateway.io import quick_start
 
-    with leanstart.unsearched():
+    with quick_start.unsearched():
         from dbc.text import printable
         from gateway.io import log_setup as logs
 
         if _DRIVES.intersection(words[:1]):
-            leanstart.python_can()
-        leanstart.pydantic()
+            quick_start.python_can()
+        quick_start.pydantic()
         if _BRIEF.intersection(words[:1]):
-            leanstart.one_blas_thread()
+            quick_start.one_blas_thread()
         form = _log_format(words)
         limit = logs.begin(logging.WARNING, form)
         parser = _parser(words)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from dbc.text import printable
 from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_line, add_signature
-from gateway.io import quick_start as leanstart
+from gateway.io import quick_start
 from gateway.io.console import note
 from gateway.io.prepare import prepare
 from gateway.settings.config import ConfigError
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     return examine(options).code
 
 
-@leanstart.unsearched()
+@quick_start.unsearched()
 def examine(options: argparse.Namespace) -> Problems:
     """Print the results and return the problems. Raises ConfigError, DbcMismatch, LogError."""
     from gateway.commands import check_loss

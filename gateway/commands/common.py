@@ -97,9 +97,9 @@ def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) ->
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """Add python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
-    from gateway.io import quick_start as leanstart
+    from gateway.io import quick_start
 
-    leanstart.python_can()
+    quick_start.python_can()
     import can.cli
 
     can.cli.add_bus_arguments(parser)

@@ -21,8 +21,7 @@ from gateway.commands.common import (
     verdict_of_input,
 )
 from gateway.commands.progress import Progress, stepped, track_file
-from gateway.io import extras
-from gateway.io import quick_start as leanstart
+from gateway.io import extras, quick_start
 from gateway.io.console import console, note
 from gateway.io.prepare import prepare
 from gateway.reports import known
@@ -87,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace, results: ExitStack) -> int:
-    with leanstart.unsearched():
+    with quick_start.unsearched():
         from dbc.candump.reader import Reader
         from dbc.candump.writer import Writer
         from dbc.prefetch import ahead

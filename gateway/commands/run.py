@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from dbc.frame import SECOND
 from gateway.commands.common import GOOD, add_bus, add_config, add_signature, positive_seconds
-from gateway.io import quick_start as leanstart
+from gateway.io import quick_start
 from gateway.io.console import console
 from gateway.io.extras import pictures
 from gateway.io.prepare import prepare
@@ -100,7 +100,7 @@ def _rehearse(config: Config, codec: Codec) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM or the duration; then send unknown flags three times and stop."""
-    with leanstart.uncollected():
+    with quick_start.uncollected():
         try:
             config, transport, ticker, gateway = _start(options)
         except KeyboardInterrupt:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from gateway.commands.common import GOOD, add_config, positive_seconds, shown
 from gateway.commands.progress import Progress, stepped
-from gateway.io import quick_start as leanstart
+from gateway.io import quick_start
 from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def wanted(text: str) -> Wanted:
 
 def run(options: argparse.Namespace) -> int:
     """Shrink the log; print what remains of it."""
-    with leanstart.unsearched():
+    with quick_start.unsearched():
         from dbc.frame import SECOND
         from gateway.logfiles import shrunk_files
         from gateway.logfiles.shrink import STEPS, shrink

@@ -68,7 +68,7 @@ class LogTime:
         """Number of times that the clock was set back."""
         self.backs: list[Back] = []
         """The first `KEPT` of these steps."""
-        self._period_ns = period_ns
+        self.period_ns = period_ns
         self._latest_ns = first_ns
         self._shift_ns: Nanos = 0
         self._waiting = EMPTY
@@ -111,7 +111,7 @@ class LogTime:
 
     def _go_on(self, block: Block) -> Steady:
         self._latest_ns = block.t_ns.item(-1)
-        return Steady(_shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64), near=True)
+        return Steady(shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64), near=True)
 
     def _sorted_out(self, block: Block) -> Steady:
         """Decide frame by frame. The last frames wait if they cannot be decided yet."""
@@ -148,7 +148,7 @@ class LogTime:
         shift = self._shift_ns
         if first_ns < self._latest_ns:
             span = self._latest_ns - first_ns + HOLE_NS
-            shift += (span // self._period_ns + 1) * self._period_ns
+            shift += (span // self.period_ns + 1) * self.period_ns
         if t_ns > LATEST_NS - shift:
             return False
         if shift != self._shift_ns:
@@ -165,7 +165,7 @@ class LogTime:
         t_ns = block.t_ns.item(-1)
         if block.t_ns.item(0) < self._latest_ns or not self._set(block.t_ns.item(0), t_ns):
             return Steady(EMPTY, np.zeros(block.size, dtype=np.int64))
-        return Steady(_shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64))
+        return Steady(shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64))
 
 
 def _agree(before_ns: Nanos, t_ns: Nanos, latest_ns: Nanos) -> bool:
@@ -175,5 +175,6 @@ def _agree(before_ns: Nanos, t_ns: Nanos, latest_ns: Nanos) -> bool:
     return 0 <= t_ns - before_ns <= APART_NS and t_ns < latest_ns
 
 
-def _shifted(block: Block, shift_ns: Nanos) -> Block:
+def shifted(block: Block, shift_ns: Nanos) -> Block:
+    """Return the block with `shift_ns` added to its stamps."""
     return block._replace(t_ns=block.t_ns + shift_ns) if shift_ns else block

@@ -14,12 +14,12 @@ from typing import Any
 from dbc.frame import FD, SECOND, Frame, Nanos
 from dbc.frames import Block, block_of
 from dbc.logs.python_can import from_message, to_message
-from gateway.io import quick_start as leanstart
+from gateway.io import quick_start
 from gateway.io.transport import RETRY_NS, LinkState, SendResult, Status, monotonic_stamp
 from gateway.io.wire import pack
 from gateway.settings.config import ConfigError
 
-with leanstart.absent("asammdf"):
+with quick_start.absent("asammdf"):
     import can
 
 BATCH = 4096

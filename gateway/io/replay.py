@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbc.arrays import Array
 from dbc.candump.reader import LogError, LogReader, Reader
@@ -20,8 +21,8 @@ from dbc.frame import Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
 from dbc.logs.opening import OTHERS, ending, open_reader
 from gateway.core.gateway import Gateway
-from gateway.io import quick_start as leanstart
-from gateway.io.logtime import HOLE_NS, LogTime
+from gateway.io import quick_start
+from gateway.io.logtime import HOLE_NS, LogTime, Steady, shifted
 
 MOST_TICKS = 4096
 """Most ticks that are requested from the core in one call."""
@@ -129,6 +130,108 @@ class OneChannel:
             raise BadLogError(msg)
 
 
+class _Ticks:
+    """The ticks of a replay, one at a time; the next one is at `now`."""
+
+    def __init__(self, gateway: Gateway, clock: LogTime, now: Nanos, sink: Sink) -> None:
+        self.now = now
+        self.count = 0
+        self.gateway = gateway
+        self.clock = clock
+        self.period_ns = clock.period_ns
+        self._sink = sink
+
+    def take(self, held: Block, new: Steady) -> Block:
+        """Run the ticks that end within `held` and `new`; return the frames of the tick after them.
+
+        The rest of that tick is in the next block. If there is none, `step` takes what is returned.
+        """
+        return self._each(join(held, new.block), new.dropped + held.size)
+
+    def step(self, frames: Block) -> None:
+        """Run one tick and pass on what it sends."""
+        out = self.gateway.step(frames, self.now)
+        shift = self.clock.shift_ns(self.now)
+        if shift:
+            out = [frame._replace(t_ns=frame.t_ns - shift) for frame in out]
+        self._sink(self.now, out, self.gateway)
+        self.now += self.period_ns
+        self.count += 1
+
+    def _each(self, block: Block, dropped: NDArray[np.int64]) -> Block:
+        """`take`, tick by tick. dropped: as in `Steady`, of this block."""
+        done, stamps = 0, block.t_ns.tolist()
+        while (end := bisect_right(stamps, self.now, done)) < block.size:
+            if len(dropped):
+                before = int(np.searchsorted(dropped, end, "right"))
+                self.gateway.leave_out(before)
+                dropped = dropped[before:]
+            self._step_to(stamps[end], block.part(done, end), stamps[end - 1])
+            done = end
+        self.gateway.leave_out(len(dropped))
+        return block.part(done, block.size)
+
+    def _step_to(self, following: Nanos, frames: Block, last: Nanos) -> None:
+        """Run the tick of `frames`, and those without frames before the one that takes `following`.
+
+        following: the next stamp; last: that of the last frame. In a hole between them, ticks are
+        skipped once no flag is good.
+        """
+        hole = following - last > HOLE_NS
+        while following > self.now:
+            self.step(frames)
+            frames = EMPTY
+            if hole and following > self.now and not self.gateway.says_good:
+                self.now += -((self.now - following) // self.period_ns) * self.period_ns
+
+
+class _BriefTicks(_Ticks):
+    """The ticks of a replay, many in one call of the core where the log's time runs evenly."""
+
+    def __init__(self, gateway: Gateway, clock: LogTime, now: Nanos, briefly: Briefly) -> None:
+        super().__init__(gateway, clock, now, self._pass_on_one)
+        self._to = briefly
+
+    def take(self, held: Block, new: Steady) -> Block:
+        if self._to.read is not None:
+            self._to.read(new.block)
+        dropped = new.dropped + held.size
+        block = join(held, new.block)
+        if new.near or not (len(dropped) or (np.diff(block.t_ns) > HOLE_NS).any()):
+            block = block.part(self._many(block), block.size)
+        return self._each(block, dropped)
+
+    def _many(self, block: Block) -> int:
+        """Run all ticks that end within the block; return its first frame that is in none."""
+        done, last, samples = 0, block.t_ns.item(-1), self._to.samples
+        while self.now < last:
+            count = min(-((self.now - last) // self.period_ns), MOST_TICKS)
+            if samples is not None:
+                count = min(count, 1 + max(0, -((self.now - samples.next_ns) // self.period_ns)))
+            nows = self.now + self.period_ns * np.arange(count)
+            ends = np.searchsorted(block.t_ns[done:], nows, "right")
+            stepped, out = self.gateway.run(block.part(done, block.size), ends, self.now)
+            now = self.now + (stepped - 1) * self.period_ns
+            shift = self.clock.shift_ns(now)
+            self._pass_on((shifted(frames, -shift) for frames in out), now, self.gateway.peak)
+            self.now = now + self.period_ns
+            self.count += stepped
+            done += ends.item(stepped - 1)
+        return done
+
+    def _pass_on_one(self, now: Nanos, out: list[Frame], gateway: Gateway) -> None:
+        self._pass_on([block_of(out)], now, gateway.status.drives["loss_probability"])
+
+    def _pass_on(self, out: Iterable[Block], now: Nanos, peak: Array) -> None:
+        """Call the consumers after the tick at `now`, the last of those that sent `out`."""
+        for frames in out:
+            self._to.write(frames)
+        if self.gateway.changed:
+            self._to.changed(self.gateway)
+        if self._to.samples is not None:
+            self._to.samples.took(now, self.gateway, peak)
+
+
 def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink | Briefly) -> Replayed:
     """Run the core over a log. Ticks are t_first + k * period; tick k takes frames with t <= t_k.
 
@@ -144,87 +247,24 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink | B
         raise BadLogError(NO_FRAME)
     first = block.frame(0)
     gateway = make(first.t_ns)
+    if gateway.begun and first.t_ns < gateway.now_ns:
+        raise BadLogError(
+            f"the log begins at {first.t_ns / 1e9:.3f} s, before the start record's "
+            f"{gateway.now_ns / 1e9:.3f} s: they do not belong together"
+        )
+    now = gateway.now_ns + period_ns if gateway.begun else first.t_ns
     clock = LogTime(first.t_ns, period_ns)
-    now, ticks = first.t_ns, 0
-    if gateway.begun:
-        now = gateway.now_ns + period_ns
-        if first.t_ns < gateway.now_ns:
-            raise BadLogError(
-                f"the log begins at {first.t_ns / 1e9:.3f} s, before the start record's "
-                f"{gateway.now_ns / 1e9:.3f} s: they do not belong together"
-            )
-
-    def step(frames: Block) -> None:
-        nonlocal ticks
-        ticks += 1
-        out = gateway.step(frames, now)
-        if isinstance(sink, Briefly):
-            publish_frames(sink, [block_of(out)], now, gateway.status.drives["loss_probability"])
-        else:
-            shift = clock.shift_ns(now)
-            if shift:
-                out = [frame._replace(t_ns=frame.t_ns - shift) for frame in out]
-            sink(now, out, gateway)
-
-    def publish_frames(sink: Briefly, out: Iterable[Block], last_ns: Nanos, peak: Array) -> None:
-        shift = clock.shift_ns(last_ns)
-        for frames in out:
-            sink.write(frames._replace(t_ns=frames.t_ns - shift) if shift else frames)
-        if gateway.changed:
-            sink.changed(gateway)
-        if sink.samples is not None:
-            sink.samples.took(last_ns, gateway, peak)
-
-    def drop(count: int) -> None:
-        gateway.leave_out(count)
-
-    def many(block: Block, sink: Briefly) -> int:
-        """Step all ticks that end within the block; return its first frame that is in none."""
-        nonlocal now, ticks
-        done, last = 0, block.t_ns.item(-1)
-        while now < last:
-            count = min(-((now - last) // period_ns), MOST_TICKS)
-            if sink.samples is not None:
-                count = min(count, 1 + max(0, -((now - sink.samples.next_ns) // period_ns)))
-            nows = now + period_ns * np.arange(count)
-            ends = np.searchsorted(block.t_ns[done:], nows, "right")
-            stepped, out = gateway.run(block.part(done, block.size), ends, now)
-            publish_frames(sink, out, now + (stepped - 1) * period_ns, gateway.peak)
-            now += stepped * period_ns
-            ticks += stepped
-            done += ends.item(stepped - 1)
-        return done
-
+    ticks = (
+        _BriefTicks(gateway, clock, now, sink)
+        if isinstance(sink, Briefly)
+        else _Ticks(gateway, clock, now, sink)
+    )
     held = EMPTY
-    for new, without, near in clock.steady(chain([block], stream)):
-        if isinstance(sink, Briefly) and sink.read is not None:
-            sink.read(new)
-        dropped = without + held.size
-        block = join(held, new)
-        even = near or (not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all()))
-        if even and isinstance(sink, Briefly):
-            block = block.part(many(block, sink), block.size)
-        done, stamps = 0, block.t_ns.tolist()
-        while (end := bisect_right(stamps, now, done)) < block.size:
-            batch, following = block.part(done, end), stamps[end]
-            done = end
-            if len(dropped):
-                now_dropped = int(np.count_nonzero(dropped <= end))
-                drop(now_dropped)
-                dropped = dropped[now_dropped:]
-            hole = following - stamps[end - 1] > HOLE_NS
-            while following > now:
-                step(batch)
-                batch = EMPTY
-                now += period_ns
-                if hole and following > now and not gateway.says_good:
-                    now += -((now - following) // period_ns) * period_ns
-        # The next block may hold more frames of this tick.
-        drop(len(dropped))
-        held = block.part(done, block.size)
-    step(held)
+    for new in clock.steady(chain([block], stream)):
+        held = ticks.take(held, new)
+    ticks.step(held)
     return Replayed(
-        first.t_ns, clock.last_ns, clock.frames, ticks, first.channel, gateway, clock
+        first.t_ns, clock.last_ns, clock.frames, ticks.count, first.channel, gateway, clock
     )  # fmt: skip
 
 
@@ -248,7 +288,7 @@ def open_log(path: Path, strict: bool, line: str = "") -> Log:
     if not path.is_file():
         raise BadLogError(f"{path}: a FIFO, device or socket, not a log; write a file first")
     if ending(path) in OTHERS:
-        leanstart.python_can()
+        quick_start.python_can()
     reader = open_reader(path, strict=strict, line=line)
     return Log(_some(reader, path, line), reader)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import main
-from gateway.io import quick_start as leanstart
+from gateway.io import quick_start
 from gateway.io.console import console, note
 from gateway.settings.config import ConfigError
 from tests.programs import COMMAND, ended, gateway, loaded, printed
@@ -89,7 +89,7 @@ frames = [Frame(10**18 + k * 10**6, 0x100 + k, bytes([k] * 8)) for k in range(5)
 
 
 def test_what_is_absent_for_a_while_is_there_again():
-    with leanstart.absent("xdrlib_of_nobody", "json"):
+    with quick_start.absent("xdrlib_of_nobody", "json"):
         assert "json" in sys.modules, "what is loaded stays"
         with pytest.raises(ImportError):
             importlib.import_module("xdrlib_of_nobody")
@@ -99,7 +99,7 @@ def test_what_is_absent_for_a_while_is_there_again():
 def test_collecting_goes_on_after_a_start_that_failed():
     assert gc.isenabled()
     before = gc.get_freeze_count()
-    start = leanstart.uncollected()
+    start = quick_start.uncollected()
     start.__enter__()
     assert not gc.isenabled()
     assert not start.__exit__(ConfigError, ConfigError("x", []), None)
@@ -109,7 +109,7 @@ def test_collecting_goes_on_after_a_start_that_failed():
 
 def test_what_a_start_has_made_is_not_searched_at_once():
     gc.unfreeze()
-    with leanstart.unsearched():
+    with quick_start.unsearched():
         made = [[]]
     assert any(one is made for one in gc.get_objects(generation=2))
     assert gc.isenabled()
