@@ -25,7 +25,6 @@ PARTS = {
     "judges": "What the detectors cost",
     "drives": "A tick, by the number of drives",
     "growth": "Growth, and what a fleet costs",
-    "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",
 }
 """Modules with `rows`, and their titles."""
