@@ -91,6 +91,46 @@ def _authentication(config: Config, gateway: Gateway) -> list[str]:
     return ["--auth-key", str(path), "--auth-after", str(sender.freshness)]
 
 
+class _Run:
+    """What is recorded of a scenario on a bus, tick by tick, from the first frame to its end."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        gateway: Gateway,
+        track: FlagTrack,
+        left: Reporting | None,
+        progress: Callable[[float], None],
+    ) -> None:
+        """For `left` and `progress` see `run_on_real_bus`."""
+        self.start_ns: Nanos | None = None
+        """The first frame received."""
+        self.overload = Overload(scenario, gateway.config.loop.period_ns)
+        self._gateway = gateway
+        self._track = track
+        self._left = left
+        self._progress = progress
+        self._duration_ns = round(scenario.duration_s * SECOND)
+        self._shown_s = 0
+
+    def take(self, seen: LiveSnapshot) -> None:
+        """Take one tick. Flags count from the first tick on, the rest from the first frame."""
+        if self.start_ns is None and seen.status.received:
+            self.start_ns = seen.now_ns
+        if self.start_ns is None:
+            self._track.add(seen.sent)
+            return
+        elapsed_ns = seen.now_ns - self.start_ns
+        if elapsed_ns <= self._duration_ns:
+            self._track.add(seen.sent)
+            self.overload.look(self._gateway, seen)
+            if self._left is not None and self._gateway.view is not None:
+                self._left.add()
+        if elapsed_ns >= self._shown_s * SECOND:
+            self._progress(self._shown_s)
+            self._shown_s += 1
+
+
 def run_on_real_bus(
     options: Namespace,
     name: str,
@@ -109,37 +149,21 @@ def run_on_real_bus(
     scenario's time in s.
     """
     ticker = Ticker(config.loop.period_ns)
-    authenticator = flag_authenticator(config)
-    gateway = Gateway(config, codec, ticker.clock(), authenticator)
+    gateway = Gateway(config, codec, ticker.clock(), flag_authenticator(config))
     transport = open_present(options, allowed(Mode.HIL, config, codec))
     track = FlagTrack(codec, config.nodes)
+    run = _Run(scenario, gateway, track, left, progress)
     stop = Stop()
+    drives = [name, "--dbc", str(codec.path), *bus_arguments(options)]
+    drives += _authentication(config, gateway)
     if left is not None:
         left.begin(gateway)
         (left.folder / TRUTH).unlink(missing_ok=True)
-    child = subprocess.Popen(
-        [sys.executable, "-m", "gateway", "sim", name, "--wait-for-start",
-         "--dbc", str(codec.path), *bus_arguments(options), *_authentication(config, gateway),
-         *([] if left is None else ["--truth", str(left.folder / TRUTH)])],
-    )  # fmt: skip
-    first: list[Nanos] = []
-    shown_s = 0
-    duration = round(scenario.duration_s * SECOND)
-    overload = Overload(scenario, config.loop.period_ns)
+        drives += ["--truth", str(left.folder / TRUTH)]
+    child = subprocess.Popen([sys.executable, "-m", "gateway", "sim", "--wait-for-start", *drives])
 
     def watch(seen: LiveSnapshot) -> None:
-        nonlocal shown_s
-        if not first and seen.status.received:
-            first.append(seen.now_ns)
-        if not first or seen.now_ns - first[0] <= duration:
-            track.add(seen.sent)
-            if first:
-                overload.look(gateway, seen)
-            if left is not None and first and gateway.view is not None:
-                left.add()
-        if first and seen.now_ns - first[0] >= shown_s * SECOND:
-            progress(shown_s)
-            shown_s += 1
+        run.take(seen)
         if child.poll() is not None:
             stop()
 
@@ -158,6 +182,5 @@ def run_on_real_bus(
     if left is not None:
         left.set_timing(seen, ticker.period_ns)
         left.read_truth(left.folder / TRUTH)
-    start = first[0] if first else 0
-    verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
-    return Outcome(scenario, verdicts, gateway, str(overload))
+    verdicts = judge(scenario.expect, track, touched_drives(scenario), run.start_ns or 0)
+    return Outcome(scenario, verdicts, gateway, str(run.overload))
