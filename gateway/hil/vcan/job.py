@@ -176,14 +176,11 @@ def _favour(pid: int) -> None:
 
     The guest has one processor, and its every system call passes between two processes of the host:
     17 us on one processor, 83 us across two (measured; a CAN frame takes two to four such calls).
-    Where other work keeps all processors busy, even the highest ordinary priority waits for tens of
-    milliseconds, which are several ticks; a real-time priority, which it passes on, does not.
     """
     with contextlib.suppress(OSError):  # ended already, or not allowed: slower, not wrong
         os.sched_setaffinity(pid, {_idlest(os.sched_getaffinity(pid))})
         os.setpriority(os.PRIO_PROCESS, pid, -20)
         Path(f"/proc/{pid}/autogroup").write_text("-20", encoding="ascii")
-        os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(1))
 
 
 def _idlest(processors: set[int]) -> int:
