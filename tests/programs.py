@@ -4,7 +4,10 @@ import ast
 import os
 import subprocess
 import sys
+import time
+from pathlib import Path
 
+PATIENCE_S = 60.0
 COMMAND = "from gateway.cli import main\nassert main(sys.argv[1:]) == 0"
 """For `loaded`: the command with the words behind it."""
 
@@ -14,7 +17,7 @@ def ended(*words, folder=None, **changes):
     environment = {k: v for k, v in (os.environ | changes).items() if v is not None}
     return subprocess.run(
         [sys.executable, *map(str, words)], cwd=folder, env=environment, capture_output=True,
-        text=True, check=False, timeout=300,
+        text=True, check=False, timeout=1200,
     )  # fmt: skip
 
 
@@ -28,6 +31,14 @@ def printed(text, *words, **more):
     done = ended("-c", text, *words, **more)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
+
+
+def await_state(pid, state):
+    """Wait until the kernel says that a process is in a state: T stopped, S asleep."""
+    deadline = time.monotonic() + PATIENCE_S
+    while Path(f"/proc/{pid}/stat").read_text("ascii").rsplit(")", 1)[1].split()[0] != state:
+        assert time.monotonic() < deadline, f"process {pid} is not {state}"
+        time.sleep(0.001)
 
 
 def loaded(names, text, *words, **more):

@@ -78,12 +78,12 @@ def server_of(feed, *, stuck_ms=None, port=0, request_s=5.0, **limits):
         yield server, made.getsockname()[1]
     finally:
         server.should_exit = True
-        thread.join(20)
+        thread.join(60)
         made.close()
     assert not thread.is_alive()
 
 
-def until(met, limit_s=20.0):
+def until(met, limit_s=60.0):
     deadline = time.monotonic() + limit_s
     while not met():
         assert time.monotonic() < deadline, "this never came"

@@ -87,7 +87,7 @@ class PythonCan:
         now = self._monotonic_ns()
         if self._bus is None and now >= self._retry_ns:
             self._reconnect(now)
-        return block_of(self._drain())
+        return block_of(self._drain(now))
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport."""
@@ -127,7 +127,7 @@ class PythonCan:
         except _UNUSABLE as error:
             self.status.note = f"{self.channel}: {error}"
 
-    def _drain(self) -> list[Frame]:
+    def _drain(self, started: Nanos) -> list[Frame]:
         messages: list[can.Message] = []
         emptied = False
         if self._bus is not None:
@@ -142,10 +142,10 @@ class PythonCan:
                 self.close()
                 self.status.note = f"{self.channel}: {error}"
                 self._retry_ns = self._monotonic_ns() + RETRY_NS
-        real, now = self._real_ns(), self._monotonic_ns()
+        now, real = self._monotonic_ns(), self._real_ns()  # in this order: see SocketCan
         bound = now - self._empty_ns
         if emptied:
-            self._empty_ns = now
+            self._empty_ns = started
         frames = []
         for message in messages:
             stamp = monotonic_stamp(int(message.timestamp * SECOND), real, now, bound)

@@ -294,10 +294,12 @@ class SocketCan:
         if not batch.filled:
             self._empty_ns = started
             return EMPTY
-        real, now = kernel.real_ns(), kernel.monotonic_ns()
+        # In this order, and bounded from before the read: a process that stands still in between
+        # takes frames for older than they are, never for newer.
+        now, real = kernel.monotonic_ns(), kernel.real_ns()
         bound = now - self._empty_ns
         if emptied:
-            self._empty_ns = now
+            self._empty_ns = started
         block, malformed, errors, dropped = batch.to_block(real, now, bound, self.channel)
         status.malformed += malformed
         status.kernel_drops += dropped

@@ -127,9 +127,10 @@ class Transport(Protocol):
 def monotonic_stamp(stamp_ns: Nanos, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos) -> Nanos:
     """Reception time on the monotonic clock from a wall-clock stamp.
 
-    `real_ns` and `now_ns` are the two clocks, read together; `bound_ns` is the greatest age that
-    the frame can have (time since the queue was last found empty). So a wall clock that steps, or
-    a device with an epoch of its own, cannot move a stamp out of the time from then until now.
+    `real_ns` and `now_ns` are the two clocks, read one after the other; `bound_ns` is the greatest
+    age that the frame can have (time since the queue was last found empty). So a wall clock that
+    steps, or a device with an epoch of its own, cannot move a stamp out of the time from then until
+    now.
     """
     return now_ns - min(max(real_ns - stamp_ns, 0), bound_ns)
 

@@ -30,7 +30,7 @@ def run_page(page, where, folder, first=()):
         elif block.language == "sh" and block.run == where:
             done = subprocess.run(
                 [*first, "bash", "-euc", block.text], cwd=folder, env=env, capture_output=True,
-                text=True, check=False, timeout=550,
+                text=True, check=False, timeout=1700,
             )  # fmt: skip
             said = f"{page}:{block.line}\n{block.text}\n{done.stdout}\n{done.stderr}"
             assert done.returncode == 0, said

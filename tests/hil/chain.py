@@ -24,6 +24,7 @@ from gateway.core.codes import Flag
 from gateway.io.transport import EMCY_ID, HEARTBEAT_ID
 from gateway.reports.expectations import FlagTrack
 from gateway.settings.config import shipped_dbc
+from tests.programs import await_state
 
 PATIENCE_S = 90.0
 TICK_NS = 10_000_000
@@ -32,6 +33,8 @@ MOST_BETWEEN_TICKS_NS = 18_000_000
 """A live loop that was once later than this had no processor: a tick is missing."""
 MOST_LATE = 0.1
 """Of a message's frames: later than that, stamps say little of when something was measured."""
+SOON_NS = 300_000_000
+"""After a machine has stood still: all messages have come again, and flags have been decided."""
 ATTEMPTS = 6
 """A failure counts if the machine did not stall; it may do so this often less one."""
 
@@ -138,13 +141,11 @@ class Recording:
         wait_for(lambda: any(folder.iterdir()) and vcan.listeners(name) > before, "candump")
 
     def end(self):
-        """Call it when the bus is quiet: candump has read all once the log does not grow."""
+        """Call it when the bus is quiet: candump sleeps once it has read all."""
         (log,) = self._folder.glob("candump-*.log")
-        size = -1
-        while size != (size := log.stat().st_size):
-            time.sleep(0.2)
+        await_state(self._process.pid, "S")
         self._process.terminate()
-        self._process.wait(timeout=20)
+        self._process.wait(timeout=PATIENCE_S)
         return log
 
 
@@ -228,6 +229,22 @@ def stalled(log, used, *, injected=False):
     return next(filter(None, found), "")
 
 
+def stalls(log, used):
+    """(from, to) in ns of every time in which the machine stood still; none on a quiet one.
+
+    A flag that becomes unknown then, or soon after, does what it should.
+    """
+    frames = list(Reader(log))
+    heard = [f.t_ns for f in frames if f.can_id in used.drives]
+    limits = {i: 2 * spec.cycle_ns + TICK_NS for i, spec in used.drives.items()}
+    limits[FLAGS_ID] = MOST_BETWEEN_TICKS_NS
+    found = []
+    for can_id, limit_ns in limits.items():
+        own = [f.t_ns for f in frames if f.can_id == can_id and heard[0] <= f.t_ns <= heard[-1]]
+        found += [(a, b + SOON_NS) for a, b in itertools.pairwise(own) if b - a > limit_ns]
+    return sorted(found)
+
+
 @contextmanager
 def excused(log, used, *, injected=False):
     """A failure on a machine that stalled says nothing: it is printed and passed over."""
@@ -265,16 +282,22 @@ def drives_ns(log, used):
     return [f.t_ns for f in Reader(log) if f.can_id in used.drives]
 
 
-def own_frames(log, codec):
-    """Number of the gateway's frames; each one is protected well and follows the one before."""
+def own_frames(log, codec, late=0):
+    """Number of the gateway's frames; each one is protected well and follows the one before.
+
+    late: how many were not sent because they were too late, and are missing between them.
+    """
     receivers = {m.can_id: Receiver(m) for m in codec.messages if m.is_gateway}
-    count = 0
+    count = gaps = 0
     for frame in Reader(log):
         receiver = receivers.get(frame.can_id)
         count += receiver is not None or frame.can_id in (HEARTBEAT_ID, EMCY_ID)
         if receiver is not None:
             assert crc_ok(codec.by_id[frame.can_id], frame.data)
-            assert receiver.check(frame.data) is Check.OK
+            checked = receiver.check(frame.data)
+            assert checked is not Check.REPEATED
+            gaps += checked is not Check.OK
+    assert late or not gaps
     return count
 
 

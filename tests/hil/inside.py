@@ -1,7 +1,9 @@
-"""What a job of these tests sees of the environment."""
+"""What these tests in a guest share with those who start it: environment, a reason to skip."""
 
 import os
 
+STALLS = "inconclusive: this machine stood still or lost frames in every attempt"
+"""What a test on a bus in real time says instead of a verdict."""
 _PASSED_ON = ("LANG", "LC_ALL", "PYTHONPATH", "PYTHONWARNINGS", "TZ")
 
 

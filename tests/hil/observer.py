@@ -3,11 +3,12 @@
 import contextlib
 import os
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import can
 import cantools
+
+from tests.programs import await_state
 
 PATIENCE_S = 60.0
 ADHESION, FAULTS, STATUS, HEARTBEAT = 0x1A0, 0x2A0, 0x4A0, 0x720
@@ -99,11 +100,8 @@ class Observer:
 
 
 def await_stop(pid):
-    """Wait until the kernel says that a process stands still."""
-    deadline = time.monotonic() + PATIENCE_S
-    while Path(f"/proc/{pid}/stat").read_text("ascii").rsplit(")", 1)[1].split()[0] != "T":
-        assert time.monotonic() < deadline, f"process {pid} does not stop"
-        time.sleep(0.001)
+    """Wait until a signal has stopped a process: what it has not sent by then it does not send."""
+    await_state(pid, "T")
 
 
 def end_process(pid, number):

@@ -165,7 +165,13 @@ def with_a_key():
     bus = Bus()
     restarted = systemctl("restart", GATEWAY)
     bus.until_flags("flags with a key")
-    ids = [number for _, number in bus.heard(1.0)]
+    ids = []
+
+    def listen():
+        ids.extend(number for _, number in bus.heard(0.1))
+        return ids.count(FLAGS) > 50 and ids[-1] == AUTH
+
+    until("flags with a key", listen)
     state = next(Path("/var/lib").rglob("trip"), None)
     return {
         "restarted": restarted, "lines": wanted, "flags": ids.count(FLAGS), "tags": ids.count(AUTH),

@@ -8,7 +8,7 @@ from dbc.candump.writer import Writer
 from dbc.frame import MS, Frame
 from sim.scenario import parse_text
 from sim.simulation import Simulation
-from tests.hil.chain import FLAGS_ID, excused, setting, stalled
+from tests.hil.chain import FLAGS_ID, SOON_NS, excused, setting, stalled, stalls
 
 SCENARIO = 'title = "t"\nseed = 1\nduration_s = 1\ndrives = 2\n'
 SECOND_DRIVE = (0x182, 0x282, 0x382, 0x1C2, 0x482)
@@ -61,6 +61,16 @@ def test_the_gateway_was_away(used, frames, log):
     assert stalled(log(left), used, injected=True) == "the gateway: away for 20 ms"
     left.append(Frame(407 * MS, FLAGS_ID, bytes(8)))
     assert stalled(log(sorted(left)), used) == ""
+
+
+def test_when_it_stood_still_is_known_to_the_frame(used, frames, log):
+    assert stalls(log(frames), used) == []
+    left = [f for f in frames if f.can_id != FLAGS_ID or f.t_ns != 400 * MS]
+    assert stalls(log(left), used) == [(390 * MS, 410 * MS + SOON_NS)]
+    left = [f for f in frames if f.can_id not in SECOND_DRIVE or not 400 < f.t_ns / MS < 440]
+    found = stalls(log(left), used)
+    assert found
+    assert all(begun <= 400 * MS and ended >= 440 * MS + SOON_NS for begun, ended in found)
 
 
 def test_outside_the_drives_time_the_gateway_may_do_as_it_likes(used, frames, log):

@@ -20,6 +20,7 @@ from tests.hil.chain import (
     ATTEMPTS,
     FLAGS_ID,
     PATIENCE_S,
+    SOON_NS,
     TICK_NS,
     FlagSocket,
     Recording,
@@ -33,7 +34,9 @@ from tests.hil.chain import (
     own_frames,
     program,
     setting,
+    stalls,
 )
+from tests.hil.inside import STALLS
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
@@ -61,6 +64,8 @@ class Run(NamedTuple):
     truth: Path
     sent: int
     """Frames the gateway says it has sent."""
+    late: int
+    """Frames that it has not sent, because they were too late."""
     timing: Path
     """Its report of the timing."""
 
@@ -89,30 +94,32 @@ def run_chain(vcan, folder, used, seconds):
     gateway.terminate()
     output, errors = gateway.communicate(timeout=PATIENCE_S)
     assert gateway.returncode == 0, errors.decode()
-    sent = re.search(rb"sent (\d+), refused 0, queue full 0, link down 0; kernel drops 0", output)
-    assert sent is not None, output.decode()
-    return Run(used, recording.end(), truth, int(sent[1]), timing)
+    said = rb"sent (\d+), refused 0, queue full 0, link down 0; kernel drops 0.* be sent (\d+)"
+    found = re.search(said, output)
+    assert found is not None, output.decode()
+    sent, late = (int(text) for text in found.groups())
+    return Run(used, recording.end(), truth, sent, late, timing)
 
 
 def checked_run(vcan, folder, drives, seconds, fd):
     """A run whose wire and replay are right.
 
-    It is tried again where the machine stalled; classic then at a rate that a slower one carries.
-    On CAN FD eight samples take 1 ms: a machine that stalls every time shows only that what the
-    gateway sends is well protected and has no gap.
+    It is tried again where the machine stalled; classic then at a rate that a slower one carries,
+    at last with two drives. A machine that stalls every time shows only that what the gateway sends
+    is well protected and has no gap but for what was too late.
     """
     for k in range(ATTEMPTS):
         here = folder / f"run{k}"
         here.mkdir()
-        used = setting(vcan, here, drives, fd=fd, slower=k > 0 and not fd)
+        count = drives if k < ATTEMPTS // 2 else 2
+        used = setting(vcan, here, count, fd=fd, slower=k > 0 and not fd)
         run = run_chain(vcan, here, used, seconds)
         with excused(run.log, used):
             check_wire(run)
             check_replay(run)
             return run
-    assert fd, "this machine stalls"
-    assert own_frames(run.log, used.codec) == run.sent > 1000
-    return run
+        assert own_frames(run.log, used.codec, run.late) == run.sent > 1000
+    pytest.skip(STALLS)
 
 
 def check_wire(run):
@@ -121,10 +128,12 @@ def check_wire(run):
     codec, nodes = used.codec, used.nodes
     assert own_frames(run.log, codec) == run.sent > 1000
     seen = changes(run.log, codec, nodes, farewell_ns(run.log))
-    said = without_doubts(seen["adhesion", 1])
+    stood = stalls(run.log, used)
+    said = without_doubts(seen["adhesion", 1], stood)
     assert [c.flag for c in said] == [UNKNOWN, ADHERING, LOST, ADHERING, UNKNOWN]
     for node in nodes[1:]:
-        assert [c.flag for c in seen["adhesion", node]] == [UNKNOWN, ADHERING, UNKNOWN]
+        other = without_doubts(seen["adhesion", node], stood, 0)
+        assert [c.flag for c in other] == [UNKNOWN, ADHERING, UNKNOWN]
     ((onset, end),) = lost_spans(run.truth, 1)
     heard = drives_ns(run.log, used)
     assert -0.02 < (said[2].t_ns - heard[0]) / 1e9 - onset < 0.3
@@ -134,17 +143,18 @@ def check_wire(run):
     assert seen["comm", 0][-1].flag is Flag.BAD
 
 
-def without_doubts(said):
-    """Without an unknown of a few ticks between two verdicts.
+def without_doubts(said, stood=(), ticks=DOUBT_TICKS):
+    """Without an unknown of a few ticks between two verdicts, or one while the machine stood still.
 
     Where stamps jitter, the ticks about the edges of a loss leave it open: neither adhering nor
-    lost.
+    lost. stood: of `stalls`.
     """
     kept = []
     for c in said:
-        doubted = len(kept) > 1 and kept[-1].flag is UNKNOWN
-        if doubted and c.t_ns - kept[-1].t_ns <= DOUBT_TICKS * TICK_NS:
-            kept.pop()
+        if len(kept) > 1 and kept[-1].flag is UNKNOWN:
+            begun = kept[-1].t_ns
+            if c.t_ns - begun <= ticks * TICK_NS or any(a <= begun <= b for a, b in stood):
+                kept.pop()
         if not kept or kept[-1].flag is not c.flag:
             kept.append(c)
     return kept
@@ -163,24 +173,26 @@ def check_replay(run):
     a part of a tick later than the tick.
     """
     used = run.used
-    again = run.log.with_name("replayed.log")
+    again, stood = run.log.with_name("replayed.log"), stalls(run.log, used)
     assert main(["replay", str(run.log), "-o", str(again), "--config", str(used.config)]) == 0
     live = changes(run.log, used.codec, used.nodes, farewell_ns(run.log))
     replayed = changes(again, used.codec, used.nodes)
     assert live.keys() == replayed.keys()
     for key, of_wire in live.items():
-        said, repeated = without_doubts(of_wire), without_doubts(replayed[key])
+        said, repeated = (without_doubts(each, stood) for each in (of_wire, replayed[key]))
         assert [c.flag for c in repeated] == [c.flag for c in said], (key, of_wire, replayed[key])
         first = max(of_wire[0].t_ns, replayed[key][0].t_ns)
         t_ns = np.arange(first, said[-1].t_ns + 100 * TICK_NS, TICK_NS)
         one, other = by_ticks(of_wire, t_ns), by_ticks(replayed[key], t_ns)
         opposite = (one != other) & (one != UNKNOWN) & (other != UNKNOWN)
         assert opposite.sum() <= 2 * (len(said) - 1), (key, of_wire, replayed[key])
-        assert (one != other).sum() <= 2 * DOUBT_TICKS + 2 * (len(said) - 1), (key, of_wire)
+        # What a gateway that stood still left open a replay decides.
+        doubted = len(stood) * (SOON_NS // TICK_NS) + 2 * DOUBT_TICKS
+        assert (one != other).sum() <= doubted + 2 * (len(said) - 1), (key, of_wire)
 
 
 def test_main_job_and_its_replay(vcan, folder):
-    run = checked_run(vcan, folder, drives=3, seconds=8.0, fd=False)
+    run = checked_run(vcan, folder, drives=3, seconds=6.0, fd=False)
     cantools = Path(sys.executable).with_name("cantools")
     decoded = subprocess.run(
         [str(cantools), "decode", "--single-line", str(run.used.codec.path)],
@@ -193,7 +205,7 @@ def test_main_job_and_its_replay(vcan, folder):
     # Every tick with new samples was measured, from the kernel's stamp to the flag on the bus.
     with (run.timing / "timing.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["stage"] == "frame to flag"]
-    assert sum(int(row["count"]) for row in rows) > 500
+    assert sum(int(row["count"]) for row in rows) > 400
     on_bus = [float(us) for us in re.findall(r"LatencyP99: (\d+)", decoded)]
     assert on_bus
     assert 0.0 < on_bus[-1] <= float(rows[-1]["below_us"])

@@ -7,6 +7,7 @@ import pytest
 from tests.docs.pages import blocks, folder_for, pages
 from tests.docs.test_commands import run_page
 from tests.hil.chain import ATTEMPTS, Recording, favoured, setting, stalled
+from tests.hil.inside import STALLS
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
@@ -50,3 +51,4 @@ def test_what_a_page_shows_works_on_a_bus(no_bus, page, tmp_path):
         finally:
             subprocess.run(["ip", "link", "delete", no_bus.name], check=False, capture_output=True)
     assert TOO_SLOW in verdict or "\nFAIL " in verdict
+    pytest.skip(STALLS)

@@ -8,7 +8,7 @@ import re
 import signal
 import subprocess
 import time
-from collections import deque
+from collections import Counter, deque
 from contextlib import contextmanager
 
 import can
@@ -20,19 +20,23 @@ from gateway.core.gateway import Gateway
 from gateway.io.socketcan import SocketCan
 from gateway.io.transport import EMCY_ID, HEARTBEAT_ID, SendResult
 from gateway.settings.config import parse
-from tests.hil.chain import TICK_NS
-from tests.hil.observer import GOOD, await_stop, end_process
+from tests.hil.chain import TICK_NS, wait_for
+from tests.hil.observer import GOOD, PATIENCE_S, await_stop, end_process
 from tests.hil.site import open_site
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 PATTERNS, PHASES = 60, 60
 CURRENTS = 0x181
-CORRUPTED, SEQUENCE, INTRUDER = 3, 4, 10
+STALE, CORRUPTED, SEQUENCE, OVERRUN, INTRUDER = 2, 3, 4, 9, 10
+OF_A_STALL = (STALE, SEQUENCE, OVERRUN)
+"""Reasons beside the one that is tested, where the drives or the gateway stood still as well."""
+FLAGS = 20
+"""Flags that are looked at, at least."""
 OWN, BATCH = 1_000_000, 200
 YOUNGEST_S, OLDEST_S, TOGETHER = 0.02, 0.12, 6
 """Two senders are there if so many frames of each were heard between so long ago."""
-ATTEMPTS = 3
+ATTEMPTS = 20
 """A machine that stands still changes flags, too; a fault of ours does so every time."""
 
 
@@ -54,20 +58,26 @@ def test_a_gateways_own_frames_are_no_intruder(site):
     ours = [Frame(0, m.can_id, bytes(m.length)) for m in codec.messages if m.is_gateway]
     ours += [Frame(0, identifier, bytes(8)) for identifier in (EMCY_ID, HEARTBEAT_ID)]
     ids = itertools.cycle(ours)
-    rounds, heard = site.count(OWN) // BATCH, 0
+    rounds = site.count(OWN) // BATCH
     for k in range(rounds):
         sent = [bus.send(next(ids)) for _ in range(BATCH)]
         assert set(sent) == {SendResult.SENT}
-        heard += other.receive().size
+        other.receive()
         gateway.step(bus.receive(), (k + 1) * TICK_NS)
         assert not gateway.integrity.intruder
-    assert heard == rounds * BATCH == site.count(OWN)
+    assert rounds * BATCH == site.count(OWN)
+    wait_for(lambda: not other.receive().size and other.status.received >= site.count(OWN), "all")
+    assert other.status.received == site.count(OWN)
     assert gateway.inbox.counts["own"] == 0
     # The same frames of somebody else are found at once.
     other.send(ours[0])
-    time.sleep(0.1)
-    gateway.step(bus.receive(), (rounds + 1) * TICK_NS)
-    assert gateway.integrity.intruder
+    ticks = itertools.count(rounds + 1)
+
+    def found():
+        gateway.step(bus.receive(), next(ticks) * TICK_NS)
+        return gateway.integrity.intruder
+
+    wait_for(found, "another sender")
     for each in (bus, other):
         each.close()
 
@@ -101,15 +111,17 @@ class Imitator:
         self._own_kernel = site.vcan.own_kernel
         self._heard = []
 
-    def speak(self, seconds, offset):
-        """For so long, one frame for each of the drive's, as soon as it is heard."""
+    def speak(self, seconds, offset, found):
+        """For so long and until it is found, one frame for each of the drive's, once heard."""
         while self._bus.recv(0) is not None:
             pass
         self._heard.clear()
         sent = deque(maxlen=4)
         end = time.monotonic() + seconds
+        latest = end + PATIENCE_S
         with before_the_drives(self._own_kernel):
-            while time.monotonic() < end:
+            while (now := time.monotonic()) < end or not found():
+                assert now < latest, f"{offset} ahead: not found"
                 message = self._bus.recv(0.05)
                 if message is None:
                     continue
@@ -149,6 +161,12 @@ def before_the_drives(own_kernel):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
+def reasons_of(seen):
+    """Reasons of the flags since `forget`."""
+    seen.take()
+    return {said.reason for said in seen.flags}
+
+
 def first_of(seen):
     """What the frames since `forget` say of drive 1."""
     seen.take()
@@ -173,10 +191,14 @@ def test_frames_that_the_kernel_corrupts_are_never_used(site):
         cangw(f"-D {clean}")
         seen.forget()
         seen.until(lambda: first_of(seen) - {GOOD}, f"doubt after XOR {bits:016x}")
+        seen.until(lambda: seen.flags[-1].reason == CORRUPTED, f"reason of XOR {bits:016x}")
         seen.forget()
         seen.watch(site.rng.uniform(0.2, 0.5))
+        seen.until_flags(FLAGS)
         assert GOOD not in first_of(seen), f"XOR {bits:016x}: good on corrupted currents"
-        assert {said.reason for said in seen.flags} == {CORRUPTED}, f"XOR {bits:016x}"
+        reasons = Counter(said.reason for said in seen.flags)
+        assert reasons.keys() <= {CORRUPTED, *OF_A_STALL}, f"XOR {bits:016x}: {reasons}"
+        assert reasons[CORRUPTED] > reasons.total() / 2, f"XOR {bits:016x}: {reasons}"
         end_process(site.drives, signal.SIGSTOP)  # while it is counted
         await_stop(site.drives)
         corrupted += handled()
@@ -204,20 +226,22 @@ def test_a_second_sender_of_a_drives_identifiers_is_found(site):
     site.drive()
     seen = site.observer()
     judged = []
-    for _ in range(site.count(PHASES)):
+    phases, latest = 0, time.monotonic() + 4 * PATIENCE_S
+    while phases < site.count(PHASES) or (
+        len(judged) <= 10 * phases and not site.vcan.own_kernel and time.monotonic() < latest
+    ):
+        phases += 1
         seen.until(seen.all_good, "every drive adheres")
         seen.watch(site.rng.uniform(0.0, 0.02))
         offset = site.rng.randint(3, 13)
         seen.forget()
-        imitator.speak(site.rng.uniform(0.4, 0.9), offset)
-        seen.take()
-        assert SEQUENCE in {said.reason for said in seen.flags}, f"{offset} ahead"
+        imitator.speak(site.rng.uniform(0.4, 0.9), offset, lambda: SEQUENCE in reasons_of(seen))
         site.check_alive()
         judged += [(offset, said) for said in seen.flags if imitator.shared_the_bus(said.t_s)]
     good = [each for each in judged if each[1].flags[0] == GOOD]
     assert not good, (len(good), len(judged), good[:9])
-    assert len(judged) > 10 * site.count(PHASES) or site.vcan.own_kernel
-    site.note("second senders", times=site.count(PHASES), flags=len(judged), good=len(good))
+    assert len(judged) > 10 * phases or site.vcan.own_kernel
+    site.note("second senders", times=phases, flags=len(judged), good=len(good))
     seen.close()
     imitator.close()
 
@@ -238,9 +262,9 @@ def test_a_step_of_the_clock_changes_no_flag(site):
                 passed = time.monotonic() - started
                 time.clock_settime(time.CLOCK_REALTIME, real + passed + step_s)
                 seen.watch(1.0)
+                seen.until_flags(100)
         finally:
             time.clock_settime(time.CLOCK_REALTIME, real + time.monotonic() - started)
-        assert len(seen.flags) > 200
         other = [said for said in seen.flags if set(said.flags) != {GOOD}]
         if not other:
             break
@@ -261,9 +285,13 @@ def test_an_intruder_is_told_for_good_where_flags_shall_go_on(vcan, stable, requ
         seen.until(lambda: seen.flags[-1].reason == INTRUDER, "an intruder")
         assert site.kill(second) == -signal.SIGKILL
         seen.forget()
+        seen.until(
+            lambda: seen.flags and seen.flags[-1].reason == INTRUDER, "the same of the first"
+        )
+        seen.forget()
         seen.watch(2.0)
+        seen.until_flags(51)
         assert {said.reason for said in seen.flags} == {INTRUDER}
         assert not [said for said in seen.flags if GOOD in said.flags]
-        assert len(seen.flags) > 50
         site.check_alive()
         seen.close()

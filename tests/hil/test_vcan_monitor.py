@@ -48,13 +48,13 @@ def test_a_monitor_sees_drives_and_gateway_and_sends_nothing(vcan):
         gateway = vcan.start(*program, "run", *named, "--quiet", stdout=subprocess.DEVNULL)
         shown = until(source, lambda s: s.gateway.alive, "flags of the gateway")
         assert {row.adhesion for row in shown.drives} == {Flag.UNKNOWN}
-        assert shown.gateway.heartbeat is not None
+        until(source, lambda s: s.gateway.heartbeat is not None, "its heartbeat")
         drives = vcan.start(*program, "sim", "healthy", *named, stdout=subprocess.DEVNULL)
         until(source, lambda s: all(r.stator_c is not None for r in s.drives), "temperatures")
         until(source, lambda s: all(r.state == "Operation" for r in s.drives), "state of drives")
-        shown = until(source, lambda s: s.gateway.config_hash is not None, "a configuration")
+        until(source, lambda s: s.gateway.config_hash is not None, "a configuration")
+        shown = until(source, lambda s: s.lateness.total > 50, "lateness of flags")
         assert not [e for e in shown.events if "configuration" in e.text]
-        assert shown.lateness.total > 50
         drives.kill()
         drives.wait()
         silent = until(

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.vcan
 KEY = bytes(range(16))
 PATIENCE_S = 90.0
 """Loading the program takes seconds in user-mode-linux."""
-ADHESION, FAULTS, AUTH = 0x1A0, 0x2A0, 0x320
+ADHESION, FAULTS, AUTH, DRIVE = 0x1A0, 0x2A0, 0x320, 0x181
 
 
 class Listener:
@@ -45,6 +45,13 @@ class Listener:
                 found = self.receiver.auth(low, mac, frame.t_ns)
                 if found is not None:
                     self.genuine.append(found)
+
+    def until_heard(self, can_id):
+        """Until somebody has sent this."""
+        deadline = time.monotonic() + PATIENCE_S
+        while can_id not in {frame.can_id for frame in self.heard}:
+            assert time.monotonic() < deadline, f"no {can_id:X} within {PATIENCE_S} s"
+            self.take()
 
     def until_more(self, count):
         """Until so many more flags are genuine."""
@@ -75,6 +82,7 @@ def test_flags_stay_genuine_over_forgeries_and_a_killed_gateway(vcan, tmp_path):
         "--auth-key", str(tmp_path / "auth.key"), "--auth-after", str(1 << 40),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
+    listener.until_heard(DRIVE)  # the drives verify flags from now on
     listener.until_more(50)
     assert (listener.receiver.failed, listener.receiver.held) == (0, 0)
 

@@ -31,9 +31,11 @@ ADHESION = 0x1A0
 
 @pytest.fixture
 def shared():
-    """A folder of the guest's own that nobody in particular may look into, and not write to."""
+    """A folder that nobody in particular may look into, and write to its `tmp` only."""
     folder = Path(tempfile.mkdtemp(dir="/dev/shm"))
     folder.chmod(0o755)
+    (folder / "tmp").mkdir()
+    (folder / "tmp").chmod(0o1777)
     yield folder
     shutil.rmtree(folder)
 
@@ -98,7 +100,7 @@ def nobodys(vcan, manager, *words):
     script = f"{open_to_all(Path(sys.base_prefix), ROOT)}\nexec {command}"
     environment = {
         "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin", "HOME": "/nonexistent",
-        "TMPDIR": "/dev/shm", "PYTHONDONTWRITEBYTECODE": "1",
+        "TMPDIR": str(manager.path.parent / "tmp"), "PYTHONDONTWRITEBYTECODE": "1",
         "NOTIFY_SOCKET": str(manager.path), "WATCHDOG_USEC": "500000",
     }  # fmt: skip
     return vcan.start("unshare", "--mount", "sh", "-c", script, cwd=ROOT, env=environment,
@@ -115,11 +117,10 @@ def flags(bus, count):
     return found
 
 
-def test_nobody_without_rights_sends_flags(vcan, manager):
+def test_nobody_without_rights_sends_flags(vcan, manager, shared):
     mapped = Path("/proc/self/uid_map").read_text(encoding="ascii").split()
     if int(mapped[2]) <= NOBODY:
         pytest.skip("only one user exists in this user namespace: run the tests as root")
-    before = set(Path("/dev/shm").iterdir())
     bus = SocketCan(vcan.name)
     bus.open()
     process = nobodys(vcan, manager)
@@ -145,7 +146,7 @@ def test_nobody_without_rights_sends_flags(vcan, manager):
     text = errors.decode()
     assert f"user {NOBODY}, SCHED_OTHER 0" in text
     # What it copied for itself is gone.
-    assert set(Path("/dev/shm").iterdir()) == before
+    assert list((shared / "tmp").iterdir()) == []
     bus.close()
 
 

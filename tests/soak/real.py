@@ -29,6 +29,8 @@ from tests.storm.train import LOOP_TICKS, NODES, TICK, train
 
 DRIVES: Final = tuple(range(1, 2 * len(NODES) + 1))
 READ_S: Final = 60
+PATIENCE_S: Final = 300.0
+"""Time after which a run is given up whose frames have not all come."""
 
 
 def payloads():
@@ -104,7 +106,7 @@ def run(seconds, folder, every_s=READ_S):
     ticker = Ticker(config.loop.period_ns)
     core = Gateway(config, codec, ticker.clock())
     books = Books(codec)
-    watch = Watch(books, kernel, stop, told, seconds + 10.0, every_s)
+    watch = Watch(books, kernel, stop, told, seconds + PATIENCE_S, every_s)
     watch.decided = lambda: core.decided_ns
     ticks = round(seconds * 100)
     speaker = multiprocessing.get_context("fork").Process(

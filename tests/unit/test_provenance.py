@@ -112,7 +112,8 @@ def test_a_skipped_test_has_failed(hil):
     assert "no slcan here" in reports[0].longrepr
 
 
-def test_the_clock_of_the_machine_may_be_left_alone(hil):
-    reports = [report("skipped", hil.OWN_CLOCK)]
+@pytest.mark.parametrize("k", [0, 1])
+def test_the_clock_of_the_machine_may_be_left_alone_and_a_slow_one_be_no_proof(hil, k):
+    reports = [report("skipped", hil.MAY_BE_SKIPPED[k])]
     hil.oblige(reports)
     assert [each.outcome for each in reports] == ["skipped"]

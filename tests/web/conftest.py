@@ -7,10 +7,12 @@ import sys
 from contextlib import ExitStack, contextmanager
 
 import pytest
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import expect, sync_playwright
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 DESK, PHONE = (1366, 900), (390, 844)
+PATIENCE_MS = 60_000
+"""For whatever comes by itself; the browser's own limits are those of an idle machine."""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +29,10 @@ def browser(request):
         pytest.skip(reason)
     with sync_playwright() as playwright:
         # Its sandbox needs a user who is not root, or rights that containers do not have.
-        made = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        made = playwright.chromium.launch(
+            executable_path=path, args=["--no-sandbox"], timeout=2 * PATIENCE_MS
+        )
+        expect.set_options(timeout=PATIENCE_MS)
         yield made
         made.close()
 
@@ -49,7 +54,7 @@ def monitor(*words):
                 pytest.fail("".join(told))
         finally:
             process.terminate()
-            process.communicate(timeout=20)
+            process.communicate(timeout=60)
 
 
 @pytest.fixture(scope="session")
@@ -73,6 +78,7 @@ def opened(browser, request):
                 viewport={"width": size[0], "height": size[1]}, color_scheme=scheme
             )
             stack.callback(context.close)
+            context.set_default_timeout(PATIENCE_MS)
             page = context.new_page()
             page.on("pageerror", lambda error: complaints.append(f"error: {error}"))
             page.on(

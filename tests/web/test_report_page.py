@@ -1,6 +1,7 @@
 """A run's report in real headless Chromium: pictures zoom, an event leads to its second."""
 
 import pytest
+from playwright.sync_api import expect
 
 from gateway.cli import main
 
@@ -22,7 +23,7 @@ def test_an_event_leads_to_its_second_in_the_picture_of_its_drive(report, opened
     row.locator("a").click()
     box = page.locator(f".zoom:has(img[alt*='of drive {drive} over time'])")
     mark = box.locator("i")
-    assert mark.is_visible()
+    expect(mark).to_be_visible()
     # Where its axis of time has that second, and in the middle of what is shown.
     left, right, span = (float(x) for x in box.locator("img").get_attribute("data-x").split())
     picture, window, at = (part.bounding_box() for part in (box.locator("img"), box, mark))

@@ -73,12 +73,15 @@ class Links(NamedTuple):
         if self.record is None:
             return [command]
         listening = "grep -q ' raw$' /proc/net/can/rcvlist_all"
+        asleep = "grep -q '^State:.S' /proc/$candump/status 2>/dev/null"
         return [
             f"candump -L any >{shlex.quote(str(self.record.absolute()))} & candump=$!",
             f"until {listening}; do kill -0 $candump || exit {FAILED}; sleep 0.05; done",
             command,
             "code=$?",
-            # Frames that candump has not read by then are lost.
-            "sleep 0.2; kill $candump 2>/dev/null; wait $candump",
+            # Frames that candump has not read when it ends are lost. It sleeps once it has read
+            # all; on a bus that others keep full it never does.
+            f"looks=0; until {asleep} || [ $((looks += 1)) -gt 200 ]; do sleep 0.05; done",
+            "kill $candump 2>/dev/null; wait $candump",
             "exit $code",
         ]

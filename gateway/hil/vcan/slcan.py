@@ -42,6 +42,8 @@ class Adapter:
             raise OSError("slcan links appear outside of this network namespace")
         (self.name,) = new
         os.set_blocking(self.master, False)
+        self._rest = ""
+        """Of a command whose end has not arrived yet."""
 
     def says(self, text: str) -> None:
         """Send text to the link: a word of `WORDS`, or text in the adapter's protocol."""
@@ -50,9 +52,11 @@ class Adapter:
     def commands(self) -> list[str]:
         """Complete commands received from the link, such as `t1A020102`."""
         try:
-            return os.read(self.master, 65536).decode().split("\r")[:-1]
+            text = self._rest + os.read(self.master, 65536).decode()
         except BlockingIOError:
             return []
+        *complete, self._rest = text.split("\r")
+        return complete
 
     def unplug(self) -> None:
         """Remove the link, as if the adapter were unplugged."""
