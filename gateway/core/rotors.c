@@ -157,11 +157,12 @@ static void accelerate(struct train_tick *t)
         const double load = isnan(r->load) ? 0.0 : fabs(r->load);
         const int with_effort = (rates.steady > 0.0) == (r->load > 0.0);
         const double most = ROTATING_FLOOR + (with_effort ? ROTATING_SHARE * load : 0.0);
-        r->acceleration_torque = clamp(torque_at(r, rates.steady, r->slow_speed), -most, most);
+        const double own = torque_at(r, rates.steady, r->slow_speed);
+        r->acceleration_torque = clamp(own, -most, most);
         r->brake_torque = 0.0;
         if (slows)
             r->brake_torque = torque_at(r, rates.quick, r->quick_speed) - r->acceleration_torque;
-        r->uncertain = rates.count < 2 && (fabs(r->acceleration_torque) > SINGLE_CREDIT || quick);
+        r->uncertain = rates.count < 2 && (fabs(own) > SINGLE_CREDIT || quick);
     }
 }
 

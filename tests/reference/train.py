@@ -225,11 +225,12 @@ def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
         load = 0.0 if math.isnan(train.load[k]) else abs(train.load[k])
         helped = (rate > 0.0) == (train.load[k] > 0.0)
         most = ROTATING_FLOOR + (ROTATING_SHARE * load if helped else 0.0)
-        train.taken[k] = min(max(_torque_of(train, k, rate, train.slow_speed[k]), -most), most)
+        own = _torque_of(train, k, rate, train.slow_speed[k])
+        train.taken[k] = min(max(own, -most), most)
         credit = _torque_of(train, k, quick, train.quick_speed[k])
         train.braked[k] = credit - train.taken[k] if braking and quick < 0.0 else 0.0
         train.uncertain[k] = count < 2 and (
-            abs(train.taken[k]) > SINGLE_CREDIT or abs(rate) * ACCELERATION_TAU_S > SINGLE_CHANGE
+            abs(own) > SINGLE_CREDIT or abs(rate) * ACCELERATION_TAU_S > SINGLE_CHANGE
         )
 
 

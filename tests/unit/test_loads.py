@@ -107,6 +107,22 @@ def test_a_rotor_that_runs_away_shows_where_it_is_alone_and_for_two_ticks():
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("effort", [0.5, -0.5])
+@pytest.mark.parametrize(("per_tick", "doubtful"), [(1.0, 1), (-1.0, 1), (0.02, 0), (-0.02, 0)])
+def test_a_drive_without_others_is_uncertain_while_no_train_changes_its_speed_so(
+    way, effort, per_tick, doubtful
+):
+    """A wheel that slid slows against its effort: until that ends, it has not gripped again."""
+    core, load = monitor(), way * effort
+    for k in range(40):
+        speed = (way * (90.0 + per_tick * k), np.nan, np.nan)
+        drives = Drives((load * BENCH_MOTOR.T_rated,) * N, speed, (40.0 * load,) * N)
+        drives.told.health[1:] = Health.CONVERGING
+        prepared(drives, core=core)
+    assert core.rotors["uncertain"][0] == doubtful
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize(("effort", "least", "most"), [(0.5, -0.02, 0.06), (-0.5, -0.06, 0.02)])
 def test_against_the_effort_only_a_hill_accelerates_a_train(way, effort, least, most):
     """A wheel that grips again slows at once; the mean of its speed still holds the slide."""
