@@ -129,8 +129,8 @@ class Learner:
         if found >= fewest:
             return []
         return [
-            f"the limits come from {found:g} s of temperatures, {fewest:g} s needed: healthy "
-            "motors may differ by more than these limits, and raise flags; record a longer fault-free run"
+            f"the limits come from {found:g} s of temperatures, {fewest:g} s needed: beyond such "
+            "limits a healthy motor may raise a flag; record a longer fault-free run"
         ]
 
     def lacks(self) -> list[str]:
