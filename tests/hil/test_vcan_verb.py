@@ -81,7 +81,8 @@ def test_a_signal_ends_a_command_that_does_not_handle_it(kind, code):
 
 
 def test_what_a_command_sends_when_it_is_ended_is_recorded(tmp_path):
-    sends = "trap 'cansend vcan0 7FF#AA; exit 5' TERM; cansend vcan0 123#01; echo ready; sleep 60 & wait"
+    sends = "trap 'cansend vcan0 7FF#AA; exit 5' TERM; cansend vcan0 123#01; "
+    sends += "echo ready; sleep 60 & wait"
     command = [*VCAN, "--candump", str(tmp_path / "bus.log"), "--", "sh", "-c", sends]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE) as process:
         assert process.stdout is not None
@@ -96,9 +97,8 @@ def test_no_input_is_lost_without_a_word(tmp_path):
     done = subprocess.run(
         [*VCAN, "--", "cat"], input="x\n", capture_output=True, text=True, check=True, cwd=HERE
     )
-    assert (
-        done.stdout == "x\n" or "a command in user-mode-linux has no standard input" in done.stderr
-    )
+    warned = "a command in user-mode-linux has no standard input" in done.stderr
+    assert warned != (done.stdout == "x\n")
 
 
 def test_a_link_goes_to_bus_off_and_is_unplugged(tmp_path):
