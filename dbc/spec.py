@@ -13,7 +13,7 @@ from _traction_core import lib
 
 from dbc.e2e import Profile
 from dbc.frame import Nanos
-from dbc.text import printable
+from dbc.text import InputError, printable
 
 VALID: Final[int] = lib.SIGNAL_VALID
 NOT_AVAILABLE: Final[int] = lib.SIGNAL_NOT_AVAILABLE
@@ -55,7 +55,7 @@ class Match(IntEnum):
     """A classic frame of an FD message of the DBC, or the other way round."""
 
 
-class DbcMismatch(Exception):
+class DbcMismatch(InputError):
     """A DBC that cannot be used; the text lists every problem, one a line."""
 
     def __init__(self, path: Path, problems: list[str]) -> None:

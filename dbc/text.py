@@ -22,6 +22,10 @@ _SURELY_CHINESE: Final = re.compile(rb"[\x80-\xff]{4}|\xa1\xe6")
 _COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 
+class InputError(Exception):
+    """A file or a setting that cannot be used. The text states what is wrong, and the remedy."""
+
+
 class TomlError(ValueError):
     """Text that is not TOML, or TOML that cannot be represented; the message is one line."""
 

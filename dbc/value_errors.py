@@ -74,13 +74,17 @@ def _expected(item: Mapping[str, Any]) -> str | None:
         "bool_type": "true or false",
         "string_type": "text in quotes",
         "finite_number": "a finite number",
+        "string_pattern_mismatch": "'MESSAGE.SIGNAL'",
+        "string_too_short": "a text that is not empty",
+        "too_short": f"{context.get('min_length')} or more entries",
+        "too_long": f"no more than {context.get('max_length')} entries",
     }.get(kind)
 
 
 def _unit(item: Mapping[str, Any]) -> str:
-    """The unit in the key's name, as in ` of seconds` for `at_s`."""
+    """The unit in the key's name, as in ` of seconds` for `at_s`; `L_s` is a symbol."""
     key = next((str(part) for part in reversed(item["loc"]) if _is_key(part)), "")
-    unit = UNITS.get(key.rpartition("_")[2].lower()) if "_" in key else None
+    unit = UNITS.get(key.rpartition("_")[2].lower()) if "_" in key and key.islower() else None
     return f" of {unit}" if unit else ""
 
 

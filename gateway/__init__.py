@@ -28,7 +28,8 @@ import importlib  # noqa: E402
 from typing import Any  # noqa: E402
 
 _API = (
-    "Config", "ConfigError", "Evidence", "Gateway", "Opinion", "detectors", "replay", "scenario",
+    "Config", "ConfigError", "Evidence", "Gateway", "InputError", "Opinion", "detectors", "replay",
+    "scenario",
 )  # fmt: skip
 
 

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from dbc.codec import Codec, bind
+from dbc.codec import Codec
 from dbc.frame import Frame
+from dbc.text import InputError
 from estimators.detect import DETECTORS, WITH_MEMORY, Detector, Evidence, Opinion
 from gateway.core import start_record
 from gateway.core.gateway import Gateway
 from gateway.io.extras import need
-from gateway.io.prepare import prepare
+from gateway.io.prepare import bound, prepare
 from gateway.io.replay import OneChannel, Replayed, Sink, open_log
 from gateway.io.replay import replay as run_log
 from gateway.reports import known
@@ -35,7 +36,7 @@ from gateway.reports.record import (
     in_words,
 )
 from gateway.reports.ticks import TickLog, Ticks
-from gateway.settings.config import Config, ConfigError
+from gateway.settings.config import Config, ConfigError, load
 
 if TYPE_CHECKING:
     import pandas as pd  # type: ignore[import-untyped]
@@ -152,7 +153,7 @@ class Run:
             f"<td>{word}</td></tr>"
             for t_ns, node, flag, word in self._changes
         )
-        head = "<tr><th>s</th><th>drive</th><th>flag</th><th>says</th></tr>"
+        head = "<tr><th>s</th><th>drive</th><th>flag</th><th>state</th></tr>"
         return f"<p>{escape(repr(self)[1:-1])}</p><table>{head}{rows}</table>"
 
 
@@ -170,7 +171,7 @@ def replay(
     detector: a name of `detectors`, or one of your own: called with an `Evidence`, it returns an
     `Opinion`; the configuration then names `median`. start: a start record of `traction-gateway
     shrink`, from which the gateway goes on.
-    Raises ConfigError or BadLogError; the text states the remedy.
+    Raises InputError or OSError.
     """
     own = None if detector is None or isinstance(detector, str) else detector
     named = detector if isinstance(detector, str) else None if own is None else "median"
@@ -186,7 +187,7 @@ def replay(
         return gateway
 
     def play(sink: Sink) -> Replayed:
-        blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel)
+        blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel, "channel=")
         return run_log(blocks, begin_at, used.loop.period_ns, sink)
 
     def again(kept: Reporting) -> Facts:
@@ -207,13 +208,13 @@ class Scenario:
     """A scenario of drives, events and expectations; `run` checks them on a virtual clock."""
 
     def __init__(self, name: FilePath) -> None:
-        """name: a file, or a scenario of the package. Raises ScenarioError."""
+        """name: a file, or a scenario of the package. Raises InputError."""
         from sim.scenario import find
 
         self.scenario = find(str(name))
 
     def run(self, config: FilePath | None = None) -> Judged:
-        """Run the simulated drives against the gateway. Raises ConfigError."""
+        """Run the simulated drives against the gateway. Raises InputError."""
         from gateway.hil.bench import run_virtual
         from gateway.hil.fitting import fitted
 
@@ -253,9 +254,10 @@ def _prepared(config: Config | FilePath | None, detector: str | None) -> tuple[C
     if not isinstance(config, Config):
         return prepare(None if config is None else Path(config), **changes)
     if detector:
+        load(None, **changes)  # raises ConfigError for another name
         adhesion = config.adhesion.model_copy(update={"detector": detector})
         config = config.model_copy(update={"adhesion": adhesion})
-    return config, bind(config.dbc_path, config.nodes)
+    return config, bound(config)
 
 
 def _joined(parts: Sequence[tuple[Column, ...]]) -> list[Column]:
@@ -279,6 +281,6 @@ def _table(names: Sequence[str], columns: Sequence[Column | tuple[object, ...]])
 
 
 __all__ = [
-    "Config", "ConfigError", "Evidence", "Gateway", "Judged", "Opinion", "Run", "Scenario",
-    "detectors", "replay", "scenario",
+    "Config", "ConfigError", "Evidence", "Gateway", "InputError", "Judged", "Opinion", "Run",
+    "Scenario", "detectors", "replay", "scenario",
 ]  # fmt: skip

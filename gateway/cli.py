@@ -234,10 +234,9 @@ def _of_a_file(error: Exception) -> str:
 
 def _is_users(error: Exception) -> bool:
     """True for an error in the input, False for one in this program."""
-    from gateway.settings.config import ConfigError
+    from dbc.text import InputError
 
-    named = {"DbcMismatch", "BadLogError", "LogError", "ScenarioError"}
-    return isinstance(error, ConfigError | OSError) or type(error).__name__ in named
+    return isinstance(error, InputError | OSError)
 
 
 def program() -> NoReturn:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
+from dbc.text import InputError, TomlError, printable, read_bytes, read_toml, toml_text
 from dbc.toml_files import numbered, within
 from dbc.value_errors import quoted
 from sim.physics.adhesion import rail
@@ -60,7 +60,7 @@ TRAIN_FLAGS: Final = ("common_mode", "comm", "sensor")
 SENSOR_KINDS: Final = ("sensor_stuck", "sensor_bias", "sensor_lost")
 
 
-class ScenarioError(Exception):
+class ScenarioError(InputError):
     """A scenario that cannot be used. `problems` lists all of them, one line each."""
 
     def __init__(self, source: str, problems: list[str]) -> None:

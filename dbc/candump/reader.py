@@ -27,7 +27,7 @@ from dbc.candump.grammar import (
 from dbc.frame import Frame
 from dbc.frames import Block, block_of
 from dbc.prefetch import ahead
-from dbc.text import printable, without_mark
+from dbc.text import InputError, printable, without_mark
 
 PROBLEMS_KEPT: Final = 100
 _CHUNK: Final = 1 << 20
@@ -43,7 +43,7 @@ _VERDICTS: Final = np.array(
 _TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
 
 
-class LogError(Exception):
+class LogError(InputError):
     """A log that cannot be read, or not further; `line` counts from 1, 0 for logs without lines."""
 
     def __init__(self, source: str, line: int, why: str) -> None:

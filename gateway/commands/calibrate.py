@@ -96,6 +96,8 @@ def run(options: argparse.Namespace) -> int:
     lacks = [] if result.heat else [f"no thermal model because {line}" for line in learner.lacks()]
     for line in (*lacks, *learner.notes, *promised):
         print(line)
+    for line in learner.too_little():
+        note(f"warning: {line}")
     if learner.fits:
         print("\n".join(calibration_fit.lines(learner.fits)))
         if learner.coverage is not None:

@@ -101,9 +101,8 @@ def examine(options: argparse.Namespace) -> Problems:
     if options.output is not None and options.forecast is None:
         raise ConfigError("--output", ["is for the files of --forecast RPM: give both"])
     config, codec = prepare(options.config, signature=options)
-    planned = foreign.plans(config)
+    planned, cells = config.all_of(lambda: foreign.plans(config), lambda: calibration.of(config))
     foreign.fitted(codec, planned, creep=config.adhesion.send_creep)
-    cells = calibration.of(config)
     word = calibration.config_hash(config, codec.digest, cells)
     print(f"configuration  good, hash {word:06x}")
     if "drive" not in config.model_fields_set:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import stat
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -67,16 +68,44 @@ def _natively(prefix: tuple[str, ...], lines: list[str], folder: Path) -> int:
     environment = {**searched(), "VCAN_INSIDE": "namespace"}
     path.write_text(script(lines, environment), encoding="utf-8")
     sys.stdout.flush()
-    process = subprocess.Popen([*prefix, "sh", str(path)], env=environment)
-    with process, _forwarded(process.send_signal):
+    process = subprocess.Popen([*prefix, "sh", str(path)], env=environment, process_group=0)
+
+    def send(number: int) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+
+    with process, _foreground(process.pid), _forwarded(send):
         code = process.wait()
     return code if code >= 0 else 128 - code
+
+
+@contextmanager
+def _foreground(group: int) -> Iterator[None]:
+    """Give the terminal, if there is one, to a process group, as a shell does with a command.
+
+    Ctrl-C then reaches the command once, and not this program as well.
+    """
+    if not os.isatty(0) or os.tcgetpgrp(0) != os.getpgrp():
+        yield
+        return
+    before = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    os.tcsetpgrp(0, group)
+    with suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGCONT)  # it may have read too early, and was stopped
+    try:
+        yield
+    finally:
+        os.tcsetpgrp(0, os.getpgrp())
+        signal.signal(signal.SIGTTOU, before)
 
 
 def _apart(lines: list[str], folder: Path) -> int:
     """Run in user-mode-linux; the command has no input."""
     from gateway.hil.vcan.job import Job
 
+    if _has_input():
+        text = "a command in user-mode-linux has no standard input; let it read a file"
+        print(f"traction-gateway: warning: {text}", file=sys.stderr)
     job = Job(lines, folder, os.environ)
     try:
         with _forwarded(job.send):
@@ -89,6 +118,21 @@ def _apart(lines: list[str], folder: Path) -> int:
               file=sys.stderr)  # fmt: skip
         return BAD_INPUT
     return code
+
+
+def _has_input() -> bool:
+    """Whether something waits on standard input: a file that is not empty, or bytes in a pipe."""
+    import fcntl
+    import termios
+
+    try:
+        kind = os.fstat(0)
+        if stat.S_ISREG(kind.st_mode):
+            return os.lseek(0, 0, os.SEEK_CUR) < kind.st_size
+        waiting = fcntl.ioctl(0, termios.FIONREAD, bytes(4)) if stat.S_ISFIFO(kind.st_mode) else b""
+    except OSError:  # closed
+        return False
+    return any(waiting)
 
 
 @contextmanager

@@ -85,7 +85,10 @@ class Gateway(Addressed):
         motors = [config.motors[d.motor] for d in config.drive]
         self.config, self.nodes, self.start_ns = config, nodes, start_ns
         self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS, config.canopen.heartbeat_ns)
-        planned = foreign.plans(config)
+        planned, cells = config.all_of(
+            lambda: foreign.plans(config), lambda: calibration.of(config)
+        )
+        self.calibration = cells
         creep = config.adhesion.send_creep
         taken = foreign.fitted(codec, planned, creep=creep)
         self.translator = Translator(planned, taken) if planned else None
@@ -97,7 +100,6 @@ class Gateway(Addressed):
         self.bank = Bank(motors, config.estimator, _current_step_a(taken), tick_ns)
         places = self.inbox.places([0.1 * m.I_rated for m in motors])
         self.inputs = inputs.InputMonitor(self.inbox.receiver, places.channels)
-        self.calibration = cells = calibration.of(config)
         self.thermal = _thermal(config, drives, cells)
         limits_ns = [_limit_ns(d, "Temperatures") for d in drives]
         self.thermal.wire(places, limits_ns, [m.I_rated for m in motors])

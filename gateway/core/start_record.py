@@ -97,7 +97,7 @@ def resumed(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
     own = _config(gateway)
     if found["config"] != own:
         text = f"was made with configuration {found['config']}, this one is {own}"
-        raise ConfigError(name, [f"{text}; give the same --config, or {ANEW}"])
+        raise ConfigError(name, [f"{text}; give the same configuration, or {ANEW}"])
     if found["layout"] != _layout(gateway):
         raise ConfigError(name, [f"was made by another version of traction-gateway; {ANEW}"])
     sizes = [array.nbytes for array in _arrays(gateway)]

@@ -8,6 +8,7 @@ configuration says.
 from __future__ import annotations
 
 import asyncio
+import atexit
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +19,7 @@ from typing import Final
 import dask
 from distributed import Client, LocalCluster, Security, as_completed
 from distributed.core import Status
+from distributed.deploy.spec import close_clusters
 from distributed.scheduler import KilledWorker
 
 from gateway.fleet.logs import Job, Settings, done_before
@@ -109,9 +111,15 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(_LOCAL))
-            cluster = stack.enter_context(_local(jobs, level))
-            cluster.loop.add_callback(_keep, cluster, jobs)
-            yield stack.enter_context(Client(cluster))
+            try:
+                cluster = stack.enter_context(_local(jobs, level))
+                cluster.loop.add_callback(_keep, cluster, jobs)
+                yield stack.enter_context(Client(cluster))
+            except KeyboardInterrupt:
+                # At exit, Dask would fail with a traceback to close processes that are starting.
+                # They end with this one.
+                atexit.unregister(close_clusters)
+                raise
             return
         if not scheduler.startswith(SECURE):
             log.warning("%s: not encrypted; whoever reaches it can run code there", scheduler)

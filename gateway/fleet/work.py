@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dbc.candump.grammar import Verdict
 from dbc.codec import Codec, bind
-from dbc.spec import DbcMismatch
+from dbc.text import InputError
 from gateway.core.gateway import Gateway
 from gateway.fleet import storage
 from gateway.fleet.log_result import Estimates
@@ -17,7 +17,6 @@ from gateway.fleet.logs import FOLDER, Job, Settings, file_of, fingerprint, show
 from gateway.fleet.table import Row, per_drive
 from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
 from gateway.reports.record import Changes
-from gateway.settings.config import ConfigError
 
 
 @lru_cache(maxsize=4)
@@ -36,7 +35,7 @@ def prepare(settings: Settings) -> str:
         return f"{problem}; install the same version on all workers"
     try:
         Gateway(config, _codec(config.dbc_path, config.nodes), 0)
-    except (ConfigError, DbcMismatch, OSError) as error:
+    except (InputError, OSError) as error:
         return " ".join(str(error).split())
     return ""
 

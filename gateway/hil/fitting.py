@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.io.console import console
-from gateway.io.prepare import prepare
+from gateway.io.prepare import bound, prepare
 from gateway.settings.config import Config, ConfigError
 
 if TYPE_CHECKING:
@@ -27,9 +27,8 @@ def fitting(
 ) -> tuple[Config, Codec]:
     """The configuration in a file, or without one that for the scenario's drives and motors.
 
-    signature: see `prepare`. Raises ConfigError or DbcMismatch with every problem.
+    signature: see `prepare`. Raises InputError with every problem.
     """
-    from dbc.codec import bind
     from gateway.settings.sections import Drive
 
     if path is not None:
@@ -53,7 +52,7 @@ def fitting(
     motor = name if name in config.motors else "bench"
     drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
     config = config.model_copy(update={"drive": drives})
-    return config, bind(config.dbc_path, config.nodes)
+    return config, bound(config)
 
 
 def fitted(

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dbc.text import InputError
 from gateway.settings.config import Config, ConfigError, load
 
 if TYPE_CHECKING:
@@ -15,13 +16,11 @@ if TYPE_CHECKING:
 def prepare(
     path: Path | None, *, signature: argparse.Namespace | None = None, **changes: Any
 ) -> tuple[Config, Codec]:
-    """Return configuration and codec. Raises ConfigError or DbcMismatch with every problem.
+    """Return configuration and codec. Raises InputError with every problem.
 
     signature: options of `add_signature`; with a public key, nothing unsigned is parsed.
     changes: fields of `[section]`s to override, as `section={"key": value}`; None: not overridden.
     """
-    from dbc.codec import bind
-
     given = {
         section: {k: v for k, v in values.items() if v is not None}
         for section, values in changes.items()
@@ -30,7 +29,7 @@ def prepare(
         if signature is not None and signature.signature is not None:
             raise ConfigError("--signature", ["has no effect without --public-key"])
         config = load(path, **given)
-        return config, bind(config.dbc_path, config.nodes)
+        return config, bound(config)
     from gateway.io.signing import check_digest, check_files, default_signature, verified
 
     if path is None:
@@ -38,6 +37,23 @@ def prepare(
     seals = verified(signature.signature or default_signature(path), signature.public_key)
     config = load(path, seals, **given)
     check_files(config)
-    codec = bind(config.dbc_path, config.nodes)
+    codec = bound(config)
     check_digest(config, codec.digest)
     return config, codec
+
+
+def bound(config: Config) -> Codec:
+    """Codec of a configuration's DBC. Raises InputError, with the problems of its other files."""
+    from dbc.codec import bind
+
+    def codec() -> Codec:
+        return bind(config.dbc_path, config.nodes)
+
+    try:
+        return codec()
+    except InputError:
+        from gateway.mapping import plan
+        from gateway.settings import calibration
+
+        config.all_of(codec, lambda: plan.plans(config), lambda: calibration.of(config))
+        raise

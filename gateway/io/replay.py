@@ -20,6 +20,7 @@ from dbc.candump.reader import LogError, LogReader, Reader
 from dbc.frame import Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
 from dbc.logs.opening import OTHERS, ending, open_reader
+from dbc.text import InputError
 from gateway.core.gateway import Gateway
 from gateway.io import quick_start
 from gateway.io.logtime import HOLE_NS, LogTime, Steady, shifted
@@ -86,18 +87,23 @@ class Replayed(NamedTuple):
 NO_FRAME: Final = "no frame in the log (or none on this channel)"
 
 
-class BadLogError(Exception):
+class BadLogError(InputError):
     """The log cannot be replayed; the text says why and what to do."""
 
 
 class OneChannel:
     """The frames of one channel of a log; `name` is known once the first frame has been read."""
 
-    def __init__(self, blocks: Iterable[Block], wanted: str | None) -> None:
-        """wanted: the channel's name; None takes the only channel of the log."""
+    def __init__(
+        self, blocks: Iterable[Block], wanted: str | None, option: str = "--log-channel"
+    ) -> None:
+        """wanted: the channel's name; None takes the only channel of the log.
+
+        option: what the caller has to name a channel, for messages.
+        """
         self.name = wanted
         self._blocks = blocks
-        self._wanted = wanted
+        self._wanted, self._option = wanted, option
 
     def __iter__(self) -> Iterator[Block]:
         """Raises BadLogError for several channels if none was named, or if none has that name."""
@@ -121,7 +127,7 @@ class OneChannel:
                 other = block.names[block.channel[np.argmin(mine)]]
                 raise BadLogError(
                     f"the log has several channels ({self.name}, {other}, ..); "
-                    "name one with --log-channel"
+                    f"name one with {self._option}"
                 )
             if mine.any():
                 yield block.pick(mine)
@@ -325,7 +331,8 @@ def _some(reader: LogReader, path: Path, pattern: str) -> Iterator[Block]:
                 "; candump shows this on a screen: record with `candump -L IF` or `candump -l IF`"
             )
         elif not pattern and reader.unit == "lines":
-            msg += "; for text of another program, `--line auto` proposes a pattern of its lines"
+            cure = f"traction-gateway convert {path} OUT.log --line auto"
+            msg += f"; for text of another program: `{cure}`"
         raise BadLogError(msg)
     if left := [f"{v.name.lower()} {n}" for v, n in reader.counts.items() if n]:
         raise BadLogError(f"{path}: no frame in the log ({', '.join(left)})")

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from dbc.codec import Codec
 from dbc.e2e import crc_ok
 from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, Nanos
-from dbc.frames import Block
-from dbc.spec import EXTENDED_KEY, MessageSpec
+from dbc.frames import MAX_DATA_BYTES, Block
+from dbc.spec import ABSENT, EXTENDED_KEY, MessageSpec
 from gateway.mapping.fit import Finding
 from gateway.mapping.plan import OWN_CANOPEN, Plan
 
@@ -98,6 +98,8 @@ class Traffic:
         self._wanted = {spec.key for specs in self._messages.values() for spec in specs}
         self._own: Mapping[int, MessageSpec] = {s.key: s for s in codec.own(creep=creep)}
         self._times: dict[int, list[Times]] = {}
+        self._parts: dict[int, dict[str, list[Times]]] = {}
+        """Times of a multiplexed message's frames with each mapped signal, by identifier."""
         self._shapes: dict[int, Counter[tuple[int, bool]]] = {}
         """Number of frames by length and whether they are CAN FD, by identifier."""
         self._strangers: Counter[int] = Counter()
@@ -111,11 +113,31 @@ class Traffic:
         for key in self._wanted & present:
             rows = np.flatnonzero(there == key)
             self._times.setdefault(key, []).append(block.t_ns[rows])
+            self._add_parts(key, block.pick(rows))
             shapes = self._shapes.setdefault(key, Counter())
             fd = (block.flags[rows] & FD) != 0
             shapes.update(zip(block.length[rows].tolist(), fd.tolist(), strict=True))
         for key in (self._own.keys() | OWN_CANOPEN) & present:
             self._check_own(key, block, np.flatnonzero(there == key))
+
+    def _add_parts(self, key: int, block: Block) -> None:
+        for plan in self._plans.values():
+            for spec in plan.codec.messages:
+                used = {s.name for s in plan.signals.use.values() if s.message == spec.name}
+                parts = [k for k, s in enumerate(spec.signals) if s.mux_parent and s.name in used]
+                if spec.key != key or not parts:
+                    continue
+                index = np.full(block.size, spec.index, np.int32)
+                _, validity = plan.codec.decode_rows(index, block.data[:, :MAX_DATA_BYTES])
+                times = self._parts.setdefault(key, {})
+                for k in parts:
+                    there = validity[:, k] != ABSENT
+                    times.setdefault(spec.signals[k].name, []).append(block.t_ns[there])
+
+    def _cycle(self, spec: MessageSpec) -> Cycle:
+        """Cycle time of a message; of a multiplexed one, that of its rarest mapped signal."""
+        parts = self._parts.get(spec.key, {}).values() or [self._times[spec.key]]
+        return max((cycle(np.concatenate(part)) for part in parts), key=lambda c: c.ms or 0.0)
 
     def _check_own(self, key: int, block: Block, rows: NDArray[np.intp]) -> None:
         spec = self._own.get(key)
@@ -167,7 +189,7 @@ class Traffic:
         for spec in self._messages[node]:
             if spec.key not in self._times or not spec.cycle_ns:
                 continue
-            measured, own_ms = cycle(np.concatenate(self._times[spec.key])), spec.cycle_ns / MS
+            measured, own_ms = self._cycle(spec), spec.cycle_ns / MS
             if measured.ms is None:
                 text = f"cycle time of {spec.name} cannot be checked: {measured.problem}"
                 out.append(Finding(None, text))

@@ -286,7 +286,10 @@ def _torque(
             fits, text = True, f"{text}, because Speed is wrong, not pole_pairs"
         elif fits:
             text = f"{text}, so pole_pairs is wrong, not Speed"
-    yield Finding(fits, text if fits else f"{text}: correct R_s, or sign or scale of Torque")
+    yield Finding(
+        fits,
+        text if fits else f"{text}: correct R_s, or sign or scale of Torque or of the currents",
+    )
 
 
 def joined(

@@ -15,6 +15,8 @@ from gateway.settings.signal_map import CURRENTS, UNITS, VOLTAGES
 
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _UNIT: Final = re.compile(r"[^a-z0-9/%*]")
+_TENTHS: Final = re.compile(r"(.*[^\d\W])\s*/\s*(10+)|(0?\.0*1)\s*\*?\s*(\D.*)")
+"""Unit with a factor: `A/10`, `0.1 A`."""
 _CONVERSIONS: Final[dict[str, dict[str, tuple[float, float]]]] = {
     "A": {"a": (1, 0), "amp": (1, 0), "amps": (1, 0), "ampere": (1, 0), "ma": (1e-3, 0),
           "arms": (1.4142, 0)},
@@ -150,7 +152,7 @@ def _of_signal(spec: MessageSpec, signal: SignalSpec) -> Iterator[Guess]:
             continue
         if re.search(rf"\b({rule.never})\b", own):
             continue
-        converted = _converted(quantity, signal.unit)
+        converted = conversion(quantity, signal.unit)
         if converted is None:
             continue
         score = UNITLESS + (0.4 if signal.unit.strip() else 0.0)
@@ -162,10 +164,14 @@ def _of_signal(spec: MessageSpec, signal: SignalSpec) -> Iterator[Guess]:
         yield Guess(quantity, spec, signal, *converted, score)
 
 
-def _converted(quantity: str, unit: str) -> tuple[float, float] | None:
+def conversion(quantity: str, unit: str) -> tuple[float, float] | None:
     """Scale and offset from a unit to ours; None if the unit is that of another quantity."""
     ours = UNITS[quantity]
     unit = normalize("NFKC", unit)  # one character for degrees Celsius, as in Chinese files
+    if tenths := _TENTHS.fullmatch(unit.strip()):
+        whole = conversion(quantity, tenths[1] or tenths[4])
+        factor = 1 / int(tenths[2]) if tenths[2] else float(tenths[3])
+        return whole and (round(whole[0] * factor, 9), whole[1])
     plain = _UNIT.sub("", unit.lower().rpartition(":")[2].replace("°", "deg"))
     if not unit.strip() or (quantity == "Irms" and plain == "arms"):
         return 1.0, 0.0

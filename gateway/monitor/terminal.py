@@ -18,8 +18,7 @@ from textual.widget import Widget
 from textual.widgets import Static
 from textual_plotext import PlotextPlot
 
-from dbc.candump.reader import LogError
-from gateway.io.replay import BadLogError
+from dbc.text import InputError
 from gateway.monitor.model import panels
 from gateway.monitor.model.plots import GREY, ORANGE, SCALE, SKY, bars, columns, curve, strip
 from gateway.monitor.model.snapshot import Snapshot, Trace
@@ -212,7 +211,7 @@ class MonitorApp(App[None]):
         """Get a snapshot of the source. A log that becomes unreadable ends the view: `problem`."""
         try:
             self._shown = question()
-        except (BadLogError, LogError, OSError) as error:
+        except (InputError, OSError) as error:
             self.problem = error
             self.exit()
             return False

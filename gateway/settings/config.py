@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from dbc.text import TomlError, printable, read_bytes, read_toml, toml_text
+from dbc.text import InputError, TomlError, printable, read_bytes, read_toml, toml_text
 from dbc.toml_files import Strict, did_you_mean, lines_of, numbered
 from dbc.value_errors import wording
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
@@ -35,7 +35,7 @@ __all__ = ["BENCH_MOTOR", "TRACTION_350KW", "Config", "ConfigError", "Motor", "l
 BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
 
 
-class ConfigError(Exception):
+class ConfigError(InputError):
     """The configuration cannot be used. `problems` lists all of them, one line each."""
 
     def __init__(self, source: str, problems: list[str]) -> None:
@@ -113,6 +113,20 @@ class Config(Strict):
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    def all_of(self, *steps: Callable[[], Any]) -> list[Any]:
+        """Results of independent steps. Raises the error of one, or one with those of several."""
+        results, errors = [], []
+        for step in steps:
+            try:
+                results.append(step())
+            except InputError as error:
+                errors.append(error)
+        if len(errors) == 1:
+            raise errors[0]
+        if errors:
+            raise ConfigError(self.source, [" ".join(str(error).split()) for error in errors])
+        return results
 
     def error(self, problems: list[str]) -> ConfigError:
         """Return an error with these problems and the lines of the file where they are."""
@@ -241,8 +255,9 @@ def load(
     sealed: SHA-256 of the signed files, by name; this file, `config`, is not even parsed if its
     SHA-256 differs. changes: keys that override the file's, as `section={"key": value}`.
     """
+    config = parse(changes, "options")  # so that no file is named for a wrong option
     if path is None:
-        return parse(changes, "command line")
+        return config
     try:
         content = read_bytes(path)
         if sealed is not None:

@@ -123,6 +123,16 @@ class Learner:
             self.step_k = np.maximum(self.step_k, np.abs(np.diff(values, axis=0)).max(axis=0))
         self._last = values[-1]
 
+    def too_little(self) -> list[str]:
+        """A line if the logs are too short to show how far healthy motors differ."""
+        found, fewest = sum(map(len, self.seconds)) * self.dt_s, FEWEST_SECONDS * self.dt_s
+        if found >= fewest:
+            return []
+        return [
+            f"the limits come from {found:g} s of temperatures, {fewest:g} s needed: beyond such "
+            "limits a healthy motor may raise a flag; record a longer fault-free run"
+        ]
+
     def lacks(self) -> list[str]:
         """Why there is no thermal model: a line for each motor and signal, or for the duty."""
         seconds = [second for log in self.seconds for second in log]

@@ -69,6 +69,38 @@ def test_a_signal_is_for_the_command(tmp_path, kind):
         assert process.wait(timeout=300) == 9
 
 
+@pytest.mark.parametrize(("kind", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_ends_a_command_that_does_not_handle_it(kind, code):
+    sleeps = "import time; print('ready', flush=True); time.sleep(60)"
+    command = [*VCAN, "--", sys.executable, "-c", sleeps]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(kind)
+        assert process.wait(timeout=30) == code
+
+
+def test_what_a_command_sends_when_it_is_ended_is_recorded(tmp_path):
+    sends = "trap 'cansend vcan0 7FF#AA; exit 5' TERM; cansend vcan0 123#01; "
+    sends += "echo ready; sleep 60 & wait"
+    command = [*VCAN, "--candump", str(tmp_path / "bus.log"), "--", "sh", "-c", sends]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=30) == 5
+    recorded = (tmp_path / "bus.log").read_text().splitlines()
+    assert [line.split()[-1] for line in recorded] == ["123#01", "7FF#AA"]
+
+
+def test_no_input_is_lost_without_a_word(tmp_path):
+    done = subprocess.run(
+        [*VCAN, "--", "cat"], input="x\n", capture_output=True, text=True, check=True, cwd=HERE
+    )
+    warned = "a command in user-mode-linux has no standard input" in done.stderr
+    assert warned != (done.stdout == "x\n")
+
+
 def test_a_link_goes_to_bus_off_and_is_unplugged(tmp_path):
     state = "ip -d link show can0 | grep -o 'state BUS-OFF'"
     inside = (

@@ -70,8 +70,42 @@ def test_a_configuration_is_a_file_or_an_object(log, run, tmp_path):
     by_object = gateway.replay(log, gateway.Config(), detector="vb")
     assert by_file.config.adhesion.detector == by_object.config.adhesion.detector == "vb"
     assert by_file.flags.num_rows == run.flags.num_rows
-    with pytest.raises(gateway.ConfigError, match="detector"):
-        gateway.replay(log, detector="none")
+    for config in (None, path, gateway.Config()):
+        with pytest.raises(
+            gateway.ConfigError, match=r"options: adhesion\.detector: .* got 'none'"
+        ):
+            gateway.replay(log, config, detector="none")
+
+
+def test_one_error_covers_all_bad_input_and_names_no_option_of_a_command(log, tmp_path):
+    two = tmp_path / "two.log"
+    two.write_text("(1.000000) can0 181#00\n(1.000000) can1 181#00\n")
+    text = tmp_path / "text.log"
+    text.write_text("nothing\n")
+    path = tmp_path / "train.toml"
+    path.write_text('[dbc]\nfile = "none.dbc"\n')
+    for arguments in ((two,), (text,), (tmp_path / "none.log",), (log, path)):
+        with pytest.raises(gateway.InputError) as caught:
+            gateway.replay(*arguments)
+        assert "--log-channel" not in str(caught.value)
+    with pytest.raises(gateway.InputError, match="name one with channel="):
+        gateway.replay(two)
+    with pytest.raises(gateway.InputError, match="no such file or scenario"):
+        gateway.scenario("none")
+
+
+def test_all_files_of_a_configuration_are_checked_before_it_is_refused(log, tmp_path):
+    path = tmp_path / "train.toml"
+    inverter = '[[drive]]\nnode = 1\n[drive.signals]\ndbc = "theirs.dbc"\n[drive.signals.use]\n'
+    inverter += 'TorqueCommand = "M.S"\n'
+    own, theirs, calibration = (
+        f"{name}: no such file" for name in ("none.dbc", "theirs.dbc", "cal.toml")
+    )
+    for dbc, expected in (("none.dbc", own), ("traction.dbc", "theirs.dbc")):
+        path.write_text(f'[dbc]\nfile = "{dbc}"\n[thermal]\ncalibration = "cal.toml"\n{inverter}')
+        with pytest.raises(gateway.InputError) as caught:
+            gateway.replay(log, path)
+        assert all(part in str(caught.value) for part in (expected, theirs, calibration))
 
 
 def test_a_scenario_is_judged():

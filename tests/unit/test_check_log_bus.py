@@ -191,3 +191,29 @@ def test_of_many_clashes_the_first_ones_are_listed(tmp_path, capsys, frames):
     assert main(["check", str(tmp_path / "t.toml"), "--no-timing", "--log",
                  str(tmp_path / "d.log")]) == 2  # fmt: skip
     assert "0x506 (Drive6_Estimate) and 4 more, so" in capsys.readouterr().out
+
+
+MUX = """VERSION ""
+BU_: INV
+BO_ 256 Temps: 4 INV
+ SG_ Mux M : 7|8@0+ (1,0) [0|3] "" INV
+ SG_ Stator m0 : 15|16@0- (0.1,0) [-100|600] "degC" INV
+ SG_ Ambient m3 : 15|16@0- (0.1,0) [-100|600] "degC" INV
+"""
+
+
+@pytest.mark.parametrize(("configured", "problem"), [
+    (100, []), (25, ["Temps every 100 ms, configured 25 ms: set cycle_ms = { Temps = 100 }"]),
+])  # fmt: skip
+def test_a_multiplexed_message_has_the_cycle_time_of_its_signals(
+    tmp_path, capsys, configured, problem
+):
+    (tmp_path / "m.dbc").write_text(MUX)
+    more = f"cycle_ms = {{ Temps = {configured} }}\n"
+    use = 'Tstator = "Temps.Stator"\nTambient = "Temps.Ambient"\n'
+    text = NATIVE + 'sensors = ["stator"]\n' + SIGNALS.format(more=more, use=use)
+    sent = [Frame(25_000_000 * k, 256, bytes([k % 4, 0, 200, 0])) for k in range(400)]
+    _, lines = check(
+        tmp_path, text.replace("1.dbc", "m.dbc"), log_of(tmp_path / "d.log", sent), capsys
+    )
+    assert problems(lines) == problem

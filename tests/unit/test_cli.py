@@ -1,6 +1,7 @@
 """The command line as a user meets it: outputs, exit codes, one clear line for bad input."""
 
 import csv
+import re
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -224,8 +225,13 @@ def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
     assert main(["calibrate", str(log), "-o", str(cells), "--without-model"]) == 0
     config = tmp_path / "c.toml"
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
-    said = capsys.readouterr().out
-    assert "no thermal model because the shortest run with all values known has" in said
+    printed = capsys.readouterr()
+    assert "no thermal model because the shortest run with all values known has" in printed.out
+    found = re.search(
+        r"warning: the limits come from (\d+) s of temperatures, 300 s needed", printed.err
+    )
+    assert found
+    assert 25 <= int(found[1]) <= 30
     assert "no thermal model" in refused("replay", log, "--config", config)
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\nmethod = "maisd"\n')
     assert main(["replay", str(log), "--config", str(config)]) == 0

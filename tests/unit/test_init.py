@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import main
+from gateway.mapping import guess
 from gateway.settings.config import ConfigError, load, parse
 from sim.simulation import Simulation
 from tests.inverters import spoken, write_dbc
@@ -51,6 +52,18 @@ def test_units_are_converted_and_other_quantities_are_left(tmp_path, capsys):
     assert use["Torque"].signal == "Motor.TorqueFeedback"
     assert use["TorqueCommand"].signal == "Motor.TorqueRequest"
     assert "ElectricalAngle" not in use
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "conversion"),
+    [
+        ("Ia", "A/10", (0.1, 0)), ("Ia", "0.1 A", (0.1, 0)), ("Speed", "1/min", (1, 0)),
+        ("Speed", "0.1 1/min", (0.1, 0)), ("Tde", "degF/10", (0.055556, -17.778)),
+        ("Ia", "V/10", None), ("Torque", "0.01*Nm", (0.01, 0)),
+    ],
+)  # fmt: skip
+def test_a_unit_may_have_a_factor(quantity, unit, conversion):
+    assert guess.conversion(quantity, unit) == conversion
 
 
 def test_an_rms_current_is_no_amplitude(tmp_path, capsys):

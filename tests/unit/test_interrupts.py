@@ -18,6 +18,21 @@ os.kill(os.getpid(), 2)
 time.sleep(5)
 """
 
+STARTING = """
+import multiprocessing, os, sys, threading, time
+
+def interrupt():
+    while not multiprocessing.active_children():
+        time.sleep(0.01)
+    os.kill(os.getpid(), 2)
+
+if __name__ == "__main__":
+    from gateway.cli import main
+    threading.Thread(target=interrupt, daemon=True).start()
+    sys.exit(main(["fleet", sys.argv[1], "-o", sys.argv[2], "-j", "2"]))
+"""
+"""A fleet that is interrupted while its processes start. A file, because they import it, too."""
+
 
 def imported_as(name):
     words = [sys.executable, "-c", IMPORTED.format(name=name)]
@@ -50,6 +65,16 @@ def test_run_that_is_stopped_before_it_has_its_bus(monkeypatch, caplog, number, 
 def log(tmp_path):
     assert main(["sim", "release", "-o", str(tmp_path / "a.log"), "--duration", "1"]) == 0
     return str(tmp_path / "a.log")
+
+
+def test_a_fleet_whose_processes_are_starting_ends_without_a_traceback(tmp_path, log):
+    program = tmp_path / "starting.py"
+    program.write_text(STARTING)
+    words = [sys.executable, str(program), log, str(tmp_path / "out")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+    assert "run the same command again to continue" in done.stderr
 
 
 def interrupted(*_args, **_more):

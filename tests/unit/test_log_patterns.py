@@ -26,7 +26,7 @@ def test_text_that_no_reader_knows_is_refused_and_the_cure_named(tmp_path, capsy
     path = tmp_path / "a.txt"
     path.write_text("".join(line.format(k) + "\n" for k in range(10, 22)))
     assert convert(path) == 2
-    assert "`--line auto` proposes a pattern" in " ".join(capsys.readouterr().err.split())
+    assert "OUT.log --line auto`" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out.log").exists()
 
 

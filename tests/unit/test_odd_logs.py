@@ -256,7 +256,7 @@ def test_a_table_that_is_no_log_is_told_apart_in_full(tmp_path, capsys):
     assert capsys.readouterr().err == (
         f"traction-gateway: {path}: cannot be read: not one of its 2 lines is a frame; line 1: "
         "malformed: no header names columns for time, identifier and data (docs/files.md): a,b,c; "
-        "for text of another program, `--line auto` proposes a pattern of its lines\n"
+        f"for text of another program: `traction-gateway convert {path} OUT.log --line auto`\n"
     )
 
 

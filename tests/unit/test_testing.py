@@ -32,6 +32,17 @@ def test_unknown_at_first(hil_bench, gateway_flags):
 def test_misspelt(hil_bench):
     pass
 
+@pytest.mark.hil(config="none.toml")
+def test_no_such_config(hil_bench):
+    pass
+
+@pytest.mark.hil("release")
+def test_unnamed(hil_bench):
+    pass
+
+def test_no_drive_to_lose(inverter):
+    inverter.lose_adhesion(drive=7)
+
 def test_no_such_drive(gateway_flags):
     gateway_flags.expect_lost(drive=9, within_ms=10)
 
@@ -101,6 +112,11 @@ def test_mistakes_of_a_test_are_named(failures):
     assert "speeed" in failures
     assert "drive 9 is not one of (1, 2, 3)" in failures
     assert "PASSED test_suite.py::test_no_such_fault" in failures
+    assert "none.toml: no such file" in failures
+    assert "hil marker: name what 'release' is: hil(scenario=NAME or FILE, " in failures
+    assert "drive 7 is not one of the 3 drives" in failures
+    for ours in ("plugin.py", "inverter.py", "faults.py", "fitting.py", "config.py"):
+        assert ours not in failures, "no traceback through this package"
     assert "PASSED test_suite.py::test_unknown_at_first" in failures
 
 

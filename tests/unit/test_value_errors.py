@@ -22,6 +22,10 @@ class Whole(BaseModel):
     part: Part = Part()
     parts: list[Part] = []
     many: tuple[Part, ...] = ()
+    L_s: float = 1.0
+    name: str = Field("x", min_length=1)
+    signal: str = Field("A.B", pattern=r"^\w+\.\w+$")
+    rates: tuple[float, ...] = Field((1.0,), min_length=1, max_length=2)
 
 
 @pytest.mark.parametrize(
@@ -42,6 +46,11 @@ class Whole(BaseModel):
         ({"parts": {}}, "expected a list, got a table: write [[parts]]"),
         ({"many": {}}, "expected a list, got a table: write [[many]]"),
         ({"many": "x"}, "expected a list, got 'x': write it in [ ]"),
+        ({"L_s": "1 H"}, "expected a number, got '1 H': write it without quotes and unit"),
+        ({"name": ""}, "expected a text that is not empty, got ''"),
+        ({"signal": "A B"}, "expected 'MESSAGE.SIGNAL', got 'A B'"),
+        ({"rates": []}, "expected 1 or more entries, got a list"),
+        ({"rates": [1, 2, 3]}, "expected no more than 2 entries, got a list"),
         ({"kind": "x" * 99}, f"expected 'rail' or 'preset', got '{'x' * 47}.."),
     ],
 )  # fmt: skip

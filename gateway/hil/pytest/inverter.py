@@ -31,31 +31,37 @@ class Inverter:
 
         for_s: duration in s; None: for good. Raises ValueError for an invalid event.
         """
+        __tracebackhide__ = True
         fields = {"at_s": self._now_s(), "for_s": for_s, "drive": drive, "kind": kind, **more}
         try:
-            event = Event.model_validate(fields)
+            self._simulation.inject(Event.model_validate(fields))
         except ValidationError as error:
             raise ValueError("; ".join(problems_of(error, Event))) from None
-        self._simulation.inject(event)
+        except ValueError as error:
+            raise ValueError(str(error)) from None
 
     def lose_adhesion(
         self, drive: int | Literal["all"], depth: float = 1.0, for_s: float | None = None
     ) -> None:
         """Lose adhesion: the rail carries only (1 - depth) of the torque demanded of the wheel."""
+        __tracebackhide__ = True
         self.fault("adhesion_loss", drive, depth=depth, for_s=for_s)
 
     def silence(self, drive: int | Literal["all"], for_s: float | None = None) -> None:
         """Stop all frames of the drive, its heartbeat included."""
+        __tracebackhide__ = True
         self.fault("silent", drive, for_s=for_s)
 
     def lose_frames(
         self, drive: int | Literal["all"], share: float, for_s: float | None = None
     ) -> None:
         """Lose each frame of the drive with probability `share`."""
+        __tracebackhide__ = True
         self.fault("frame_loss", drive, depth=share, for_s=for_s)
 
     def lose_sensor(
         self, drive: int | Literal["all"], sensor: str = "stator", for_s: float | None = None
     ) -> None:
         """Make a sensor not available: stator, drive_end, non_drive_end, ambient or current."""
+        __tracebackhide__ = True
         self.fault("sensor_lost", drive, sensor=sensor, for_s=for_s)

@@ -72,24 +72,30 @@ def pytest_configure(config: pytest.Config) -> None:
 def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
     """Simulated inverters and a gateway, all flags good; `@pytest.mark.hil(..)` configures them."""
     load_hidden(request.path.parent)
+    from dbc.text import InputError
     from gateway.hil.fitting import fitted
     from gateway.hil.pytest.bench import HilBench, scenario_of
-    from sim.scenario import ScenarioError, find
+    from sim.scenario import find
 
     mark = request.node.get_closest_marker("hil")
     given = dict(mark.kwargs) if mark else {}
     name, settle = given.pop("scenario", None), given.pop("settle", True)
     path = given.pop("config", None)
     given.pop("expect_known", None)
+    problem = ""
+    if mark and mark.args:
+        pytest.fail(f"hil marker: name what {mark.args[0]!r} is: {MARK}", pytrace=False)
     try:
         scenario = find(str(name)) if name else scenario_of(given, request.node.nodeid)
-    except (ScenarioError, ValueError) as error:
-        raise pytest.UsageError(str(error)) from None
-    bench = HilBench(
-        *fitted(Path(path) if path else None, scenario),
-        bus_of(request.config), mutant_of(request.config),
-        own_gateway=request.config.getoption("--hil-gateway") == "own",
-    )  # fmt: skip
+        bench = HilBench(
+            *fitted(Path(path) if path else None, scenario),
+            bus_of(request.config), mutant_of(request.config),
+            own_gateway=request.config.getoption("--hil-gateway") == "own",
+        )  # fmt: skip
+    except (InputError, OSError) as error:
+        problem = str(error)
+    if problem:
+        pytest.fail(problem, pytrace=False)
     try:
         if settle:
             bench.settle()

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from dbc.text import InputError
 from gateway.hil.fitting import fitting
 from gateway.hil.pytest.bench import HilBench
 from gateway.hil.pytest.options import bus_of, expected_known, mutant_of
@@ -99,8 +100,8 @@ class ScenarioItem(pytest.Item):
         )
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The text of a ScenarioFailure, without a traceback through this plugin."""
-        if isinstance(excinfo.value, ScenarioFailure):
+        """The text of a failure or of bad input, without a traceback through this plugin."""
+        if isinstance(excinfo.value, ScenarioFailure | InputError | OSError):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 

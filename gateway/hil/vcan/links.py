@@ -39,6 +39,8 @@ class Links(NamedTuple):
         found = odd + [f"{name} is there twice" for name in twice]
         if self.record is not None and not self.record.absolute().parent.is_dir():
             found.append(f"--candump {self.record}: no such folder")
+        elif self.record is not None and self.record.is_dir():
+            found.append(f"--candump {self.record}: is a folder; name a file")
         return found
 
     def around(self, command: Sequence[str], fifos: Path) -> list[str]:
@@ -51,10 +53,11 @@ class Links(NamedTuple):
             fifo = shlex.quote(str(fifos / name))
             hold = f"{shlex.quote(sys.executable)} -m gateway.hil.vcan.slcan {name} {fifo}"
             made += [
-                f"{hold} & adapter=$!",
+                f"setsid {hold} & adapter=$!",
                 f"until [ -p {fifo} ]; do kill -0 $adapter || exit {FAILED}; sleep 0.1; done",
             ]
-        # A signal is meant for the command: the shell goes on, and ends with its exit code.
+        # A signal is meant for the command: the shell goes on, and ends with its exit code. Adapter
+        # and recorder have sessions of their own (setsid), and last until the command has ended.
         return ["trap : INT TERM", *LOOPBACK, *made, *self.recorded(shlex.join(command))]
 
     def making(self) -> list[str]:
@@ -72,10 +75,11 @@ class Links(NamedTuple):
         """Shell lines that run the command and record meanwhile."""
         if self.record is None:
             return [command]
+        record = shlex.quote(str(self.record.absolute()))
         listening = "grep -q ' raw$' /proc/net/can/rcvlist_all"
         asleep = "grep -q '^State:.S' /proc/$candump/status 2>/dev/null"
         return [
-            f"candump -L any >{shlex.quote(str(self.record.absolute()))} & candump=$!",
+            f"setsid candump -L any >{record} & candump=$!",
             f"until {listening}; do kill -0 $candump || exit {FAILED}; sleep 0.05; done",
             command,
             "code=$?",

@@ -24,7 +24,8 @@ for process in /proc/[0-9]*; do
 done
 ip link set lo up
 exec 3<&0
-setsid sh "$VCAN_JOB/run.sh" >"$VCAN_JOB/output" 2>"$VCAN_JOB/errors" &
+# A shell starts a background job with SIGINT ignored, and no program inside could be interrupted.
+setsid env --default-signal=INT,QUIT sh "$VCAN_JOB/run.sh" >"$VCAN_JOB/output" 2>"$VCAN_JOB/errors" &
 job=$!
 while read -r name; do kill -s "$name" -- "-$job"; done <&3 &
 wait "$job"
