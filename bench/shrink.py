@@ -31,8 +31,9 @@ from dbc.frame import MS, SECOND
 from dbc.frames import join
 from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
+from gateway.io.log_file import OneChannel, open_log
 from gateway.io.prepare import prepare
-from gateway.io.replay import Briefly, OneChannel, open_log, replay
+from gateway.io.replay import Briefly, replay
 from gateway.logfiles import shrunk_files
 from gateway.logfiles.shrink import Wanted, shrink
 from gateway.reports.record import Changes

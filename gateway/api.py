@@ -21,8 +21,9 @@ from estimators.detect import DETECTORS, WITH_MEMORY, Detector, Evidence, Opinio
 from gateway.core import start_record
 from gateway.core.gateway import Gateway
 from gateway.io.extras import need
+from gateway.io.log_file import OneChannel, open_log
 from gateway.io.prepare import bound, prepare
-from gateway.io.replay import OneChannel, Replayed, Sink, open_log
+from gateway.io.replay import Replayed, Sink
 from gateway.io.replay import replay as run_log
 from gateway.reports import known
 from gateway.reports.record import (

@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         return _adhesion(options)
     from gateway.core.thermal import NO_MODEL
     from gateway.io.extras import pictures
-    from gateway.io.replay import BadLogError, OneChannel, open_log
+    from gateway.io.log_file import BadLogError, OneChannel, open_log
     from gateway.io.whole_file import write_text
     from gateway.settings.calibration import promise_lines, to_toml
     from gateway.study import calibration_fit
@@ -132,7 +132,8 @@ def _adhesion(options: argparse.Namespace) -> int:
     Raises ConfigError if the logs have no whole minute.
     """
     from gateway.core.gateway import Gateway
-    from gateway.io.replay import Briefly, OneChannel, open_log, replay
+    from gateway.io.log_file import OneChannel, open_log
+    from gateway.io.replay import Briefly, replay
     from gateway.settings.sections import Adhesion
     from gateway.study.fault_free import Evidence, at_once, largest
 

@@ -18,7 +18,7 @@ from dbc.logs.opening import open_reader
 from dbc.spec import MessageSpec
 from gateway.commands.common import pattern_of
 from gateway.commands.progress import Progress
-from gateway.io.replay import NO_FRAME, BadLogError, OneChannel
+from gateway.io.log_file import NO_FRAME, BadLogError, OneChannel
 from gateway.mapping import command_fit, fit, rating_fit
 from gateway.mapping.bus_fit import Traffic
 from gateway.mapping.plan import NO_MESSAGE, fitted, plans

@@ -26,7 +26,7 @@ from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
-    from gateway.io.replay import Log
+    from gateway.io.log_file import Log
     from gateway.logfiles.convert import Done
     from gateway.logfiles.signals import Decoder
 
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
 
     Exit 1 if more than 1 % is dropped: faulty lines, and frames left out for their time stamps.
     """
-    from gateway.io.replay import BadLogError
+    from gateway.io.log_file import BadLogError
     from gateway.logfiles import convert
     from gateway.logfiles.signals import Decoder
 

@@ -173,7 +173,7 @@ def _cycles_of_log(options: argparse.Namespace) -> dict[int, Cycle]:
     """
     import numpy as np
 
-    from gateway.io.replay import OneChannel, open_log
+    from gateway.io.log_file import OneChannel, open_log
     from gateway.mapping import bus_fit
 
     log = options.log

@@ -16,7 +16,7 @@ from gateway.io.console import console
 
 if TYPE_CHECKING:
     from dbc.frames import Block
-    from gateway.io.replay import Log
+    from gateway.io.log_file import Log
 
 T = TypeVar("T")
 SPEED_OVER_S: Final = 3600.0

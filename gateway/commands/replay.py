@@ -91,7 +91,8 @@ def _replay(options: argparse.Namespace, results: ExitStack) -> int:
         from dbc.candump.writer import Writer
         from dbc.prefetch import ahead
         from gateway.core.gateway import Gateway
-        from gateway.io.replay import Briefly, OneChannel, open_log, replay
+        from gateway.io.log_file import OneChannel, open_log
+        from gateway.io.replay import Briefly, replay
         from gateway.io.whole_file import whole
         from gateway.reports.record import Changes
 

@@ -177,7 +177,8 @@ def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
 def replay_log(path: Path, bus: Bus, belief: Filter) -> Course:
     """Replay a log: loads of tracked drives at the gateway's ticks, NaN where not known."""
     from gateway.core.gateway import Gateway
-    from gateway.io.replay import OneChannel, open_log, replay
+    from gateway.io.log_file import OneChannel, open_log
+    from gateway.io.replay import replay
 
     noise = {"process_noise": belief.Q, "current_noise_var": belief.R}
     config = load(None, dbc={"file": bus.dbc}, loop={"rate_hz": bus.rate_hz}, estimator=noise)

@@ -15,7 +15,8 @@ from gateway.fleet import storage
 from gateway.fleet.log_result import Estimates
 from gateway.fleet.logs import FOLDER, Job, Settings, file_of, fingerprint, shown
 from gateway.fleet.table import Row, per_drive
-from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
+from gateway.io.log_file import BadLogError, OneChannel, open_log
+from gateway.io.replay import Briefly, replay
 from gateway.reports.record import Changes
 
 

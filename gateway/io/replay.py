@@ -7,29 +7,22 @@ cannot transmit.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from itertools import chain
-from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbc.arrays import Array
-from dbc.candump.reader import LogError, LogReader, Reader
 from dbc.frame import Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
-from dbc.logs.opening import OTHERS, ending, open_reader
-from dbc.text import InputError
 from gateway.core.gateway import Gateway
-from gateway.io import quick_start
+from gateway.io.log_file import NO_FRAME, BadLogError
 from gateway.io.logtime import HOLE_NS, LogTime, Steady, shifted
 
 MOST_TICKS = 4096
 """Most ticks that are requested from the core in one call."""
-REPORTED = 200
-"""Most characters that a message quotes of a line that is no frame, its fault included."""
-
 Sink = Callable[[Nanos, list[Frame], Gateway], None]
 """Called for every tick with now, the frames sent, and the gateway, whose view is built on request.
 
@@ -82,58 +75,6 @@ class Replayed(NamedTuple):
     def dropped(self) -> int:
         """Frames that were left out because their time was wrong."""
         return self.gateway.inbox.counts["time_back"]
-
-
-NO_FRAME: Final = "no frame in the log (or none on this channel)"
-
-
-class BadLogError(InputError):
-    """The log cannot be replayed; the text says why and what to do."""
-
-
-class OneChannel:
-    """The frames of one channel of a log; `name` is known once the first frame has been read."""
-
-    def __init__(
-        self, blocks: Iterable[Block], wanted: str | None, option: str = "--log-channel"
-    ) -> None:
-        """wanted: the channel's name; None takes the only channel of the log.
-
-        option: what the caller has to name a channel, for messages.
-        """
-        self.name = wanted
-        self._blocks = blocks
-        self._wanted, self._option = wanted, option
-
-    def __iter__(self) -> Iterator[Block]:
-        """Raises BadLogError for several channels if none was named, or if none has that name."""
-        others: set[str] = set()
-        found = False
-        for block in self._blocks:
-            if self.name is None:
-                self.name = block.names[block.channel[0]]
-            if block.names == [self.name]:
-                found = True
-                yield block
-                continue
-            names = np.array([name == self.name for name in block.names])
-            mine = names[block.channel]
-            found = found or bool(mine.any())
-            if mine.all():
-                yield block
-                continue
-            others.update(block.names)
-            if self._wanted is None:
-                other = block.names[block.channel[np.argmin(mine)]]
-                raise BadLogError(
-                    f"the log has several channels ({self.name}, {other}, ..); "
-                    f"name one with {self._option}"
-                )
-            if mine.any():
-                yield block.pick(mine)
-        if others and not found:
-            msg = f"no channel {self._wanted} in the log; it has {', '.join(sorted(others))}"
-            raise BadLogError(msg)
 
 
 class _Ticks:
@@ -272,70 +213,3 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink | B
     return Replayed(
         first.t_ns, clock.last_ns, clock.frames, ticks.count, first.channel, gateway, clock
     )  # fmt: skip
-
-
-class Log(NamedTuple):
-    """A log that can be read: its blocks, and the reader, which keeps the counts."""
-
-    blocks: Iterable[Block]
-    reader: LogReader
-
-
-def open_log(path: Path, strict: bool, line: str = "") -> Log:
-    """Open a log: by its file extension, else by its content, see `dbc.logs.opening`.
-
-    line: a pattern of its lines. Raises BadLogError if the path does not exist or is not a regular
-    file: a FIFO or a device may never end.
-    """
-    if not path.exists():
-        raise BadLogError(f"{path}: no such file")
-    if path.is_dir():
-        raise BadLogError(f"{path}: a folder, not a log")
-    if not path.is_file():
-        raise BadLogError(f"{path}: a FIFO, device or socket, not a log; write a file first")
-    if ending(path) in OTHERS:
-        quick_start.python_can()
-    reader = open_reader(path, strict=strict, line=line)
-    return Log(_some(reader, path, line), reader)
-
-
-def _some(reader: LogReader, path: Path, pattern: str) -> Iterator[Block]:
-    """The log's blocks. Raises BadLogError if the log has lines but none of them is a frame."""
-    found = False
-    for block in reader.blocks():
-        found = found or block.size > 0
-        yield block
-    if found:
-        return
-    from dbc.logs.text import TextReader
-
-    header = reader.nearest_header() if isinstance(reader, TextReader) else None
-    if reader.problems or header:
-        line, verdict, text = header or reader.problems[0]
-        candump = isinstance(reader, Reader) and not isinstance(reader, TextReader)
-        name = "frame as candump -L writes them" if candump else "frame"
-        what = "" if candump else "cannot be read: "
-        msg = (
-            f"{path}: {what}not one of its {reader.lines} {reader.unit} is a {name}; "
-            f"line {line}: {verdict.name.lower()}: {text[:REPORTED]}"
-        )
-        with path.open("rb") as file:
-            head = file.read(8192)
-        if candump and b"\r" in head and b"\n" not in head:
-            msg = f"{path}: its lines end in CR only; change them with `tr '\\r' '\\n'`"
-            raise BadLogError(msg)
-        from dbc.logs.screen import is_screen_form
-
-        if is_screen_form(text):
-            msg += (
-                "; candump shows this on a screen: record with `candump -L IF` or `candump -l IF`"
-            )
-        elif not pattern and reader.unit == "lines":
-            cure = f"traction-gateway convert {path} OUT.log --line auto"
-            msg += f"; for text of another program: `{cure}`"
-        raise BadLogError(msg)
-    if left := [f"{v.name.lower()} {n}" for v, n in reader.counts.items() if n]:
-        raise BadLogError(f"{path}: no frame in the log ({', '.join(left)})")
-
-
-__all__ = ["BadLogError", "Log", "LogError", "OneChannel", "Replayed", "open_log", "replay"]

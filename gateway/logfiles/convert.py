@@ -7,12 +7,13 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from dbc.candump.reader import LogError
 from dbc.codec import Codec
 from dbc.frame import MS
 from dbc.frames import Block
 from gateway.io import extras
+from gateway.io.log_file import NO_FRAME, BadLogError, Log, OneChannel, open_log
 from gateway.io.logtime import LogTime
-from gateway.io.replay import NO_FRAME, BadLogError, Log, LogError, OneChannel, open_log
 from gateway.io.whole_file import whole
 from gateway.logfiles import frames as frame_files
 from gateway.logfiles.frames import Sink

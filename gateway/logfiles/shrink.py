@@ -21,8 +21,9 @@ from dbc.frames import Block, join
 from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
 from gateway.core.start_record import State, set_state, state_of
+from gateway.io.log_file import NO_FRAME, BadLogError, OneChannel, open_log
 from gateway.io.logtime import LogTime
-from gateway.io.replay import NO_FRAME, BadLogError, Briefly, OneChannel, open_log, replay
+from gateway.io.replay import Briefly, replay
 from gateway.logfiles.ddmin import Mask, minimise
 from gateway.settings.config import Config, ConfigError
 

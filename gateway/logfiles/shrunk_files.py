@@ -11,7 +11,8 @@ from dbc.codec import Codec
 from dbc.frame import SECOND
 from dbc.text import printable
 from gateway.core.start_record import resumed, start_bytes
-from gateway.io.replay import BadLogError, open_log, replay
+from gateway.io.log_file import BadLogError, open_log
+from gateway.io.replay import replay
 from gateway.io.whole_file import whole, write_text
 from gateway.logfiles.shrink import SENT_IN, Shrunk, Wanted
 from gateway.settings.config import Config

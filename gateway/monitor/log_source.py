@@ -13,8 +13,8 @@ import numpy as np
 from dbc.frame import MS, SECOND, Nanos
 from dbc.frames import EMPTY
 from dbc.text import printable
+from gateway.io.log_file import NO_FRAME, BadLogError, OneChannel, open_log
 from gateway.io.logtime import LogTime, Steady
-from gateway.io.replay import NO_FRAME, BadLogError, OneChannel, open_log
 from gateway.monitor.model.observer import Observer
 from gateway.monitor.model.snapshot import Snapshot
 

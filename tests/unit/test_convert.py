@@ -24,7 +24,7 @@ from dbc.load import load
 from dbc.spec import Validity
 from gateway import cli
 from gateway.io import extras
-from gateway.io.replay import open_log
+from gateway.io.log_file import open_log
 from gateway.logfiles.frames import ParquetFrames, read_parquet
 from gateway.logfiles.signals import Decoder
 

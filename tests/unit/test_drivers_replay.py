@@ -7,7 +7,8 @@ from dbc.candump.grammar import format_frame
 from dbc.frame import MS, SECOND, Frame
 from dbc.frames import in_blocks
 from gateway.core.gateway import Gateway
-from gateway.io.replay import BadLogError, OneChannel, open_log, replay
+from gateway.io.log_file import BadLogError, OneChannel, open_log
+from gateway.io.replay import replay
 from tests.sender import SteadyDrive, codec_for
 
 CODEC = codec_for()

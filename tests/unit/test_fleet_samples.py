@@ -13,7 +13,8 @@ from gateway.fleet.log_result import EVERY_NS
 from gateway.fleet.logs import FOLDER, job, settings_for
 from gateway.fleet.table import per_drive
 from gateway.fleet.work import prepare, replayed
-from gateway.io.replay import OneChannel, open_log, replay
+from gateway.io.log_file import OneChannel, open_log
+from gateway.io.replay import replay
 from gateway.reports.record import ADHESION, FAULT, Changes, camel
 from gateway.settings.config import load
 from tests.storm.campaign import CALIBRATION

@@ -11,8 +11,8 @@ from dbc.frame import Frame
 from dbc.frames import block_of
 from gateway.cli import main
 from gateway.core.codes import Flag
+from gateway.io.log_file import BadLogError
 from gateway.io.permission import Mode, allowed
-from gateway.io.replay import BadLogError
 from gateway.io.transport import Guarded, LinkState, SendResult, Status
 from gateway.io.wire import BusState
 from gateway.monitor import log_source, sources

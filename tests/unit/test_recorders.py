@@ -10,11 +10,12 @@ import can
 import numpy as np
 import pytest
 
+from dbc.candump.reader import LogError
 from dbc.codec import Match, bind_usable
 from dbc.frame import FD, SECOND, Frame
 from dbc.logs.opening import open_reader
 from dbc.tolerant import read_any_dbc
-from gateway.io.replay import BadLogError, LogError, open_log
+from gateway.io.log_file import BadLogError, open_log
 from gateway.logfiles.signals import Decoder
 from tests.unit.test_odd_logs import ASC, read, shown
 

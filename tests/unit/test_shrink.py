@@ -24,8 +24,9 @@ from gateway.cli import main
 from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
 from gateway.core.start_record import resumed, start_bytes, state_of
+from gateway.io.log_file import BadLogError
 from gateway.io.prepare import prepare
-from gateway.io.replay import BadLogError, replay
+from gateway.io.replay import replay
 from gateway.logfiles import shrunk_files
 from gateway.logfiles.ddmin import minimise
 from gateway.logfiles.shrink import Wanted, shrink

@@ -8,8 +8,9 @@ from dbc.frames import Block
 from dbc.records import pointer
 from gateway.cli import main
 from gateway.core.gateway import Gateway
+from gateway.io.log_file import OneChannel, open_log
 from gateway.io.prepare import prepare
-from gateway.io.replay import Briefly, OneChannel, open_log, replay
+from gateway.io.replay import Briefly, replay
 from gateway.study.temperature_reader import CycleLog, TemperatureReader
 from tests import slow_record
 
