@@ -293,7 +293,7 @@ def test_a_start_record_is_refused_where_it_does_not_fit(tmp_path):
         (data[:200], config, "is damaged"),
         (magic, config, "is damaged"),
         (data.replace(b'"now_ns": 7', b'"now_ns": 8'), config, "is damaged"),
-        (data, other, "give the same --config"),
+        (data, other, "give the same configuration"),
         (newer, config, "another version of traction-gateway"),
     ):
         with pytest.raises(ConfigError, match=text):
