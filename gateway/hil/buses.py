@@ -113,7 +113,7 @@ class _Run:
         self._duration_ns = round(scenario.duration_s * SECOND)
         self._shown_s = 0
 
-    def take(self, seen: LiveSnapshot) -> None:
+    def add(self, seen: LiveSnapshot) -> None:
         """Take one tick. Flags count from the first tick on, the rest from the first frame."""
         if self.start_ns is None and seen.status.received:
             self.start_ns = seen.now_ns
@@ -163,7 +163,7 @@ def run_on_real_bus(
     child = subprocess.Popen([sys.executable, "-m", "gateway", "sim", "--wait-for-start", *drives])
 
     def watch(seen: LiveSnapshot) -> None:
-        run.take(seen)
+        run.add(seen)
         if child.poll() is not None:
             stop()
 

@@ -88,7 +88,7 @@ class _Ticks:
         self.period_ns = clock.period_ns
         self._sink = sink
 
-    def take(self, held: Block, new: Steady) -> Block:
+    def run(self, held: Block, new: Steady) -> Block:
         """Run the ticks that end within `held` and `new`; return the frames of the tick after them.
 
         The rest of that tick is in the next block. If there is none, `step` takes what is returned.
@@ -106,7 +106,7 @@ class _Ticks:
         self.count += 1
 
     def _each(self, block: Block, dropped: NDArray[np.int64]) -> Block:
-        """`take`, tick by tick. dropped: as in `Steady`, of this block."""
+        """`run`, tick by tick. dropped: as in `Steady`, of this block."""
         done, stamps = 0, block.t_ns.tolist()
         while (end := bisect_right(stamps, self.now, done)) < block.size:
             if len(dropped):
@@ -139,7 +139,7 @@ class _BriefTicks(_Ticks):
         super().__init__(gateway, clock, now, self._pass_on_one)
         self._to = briefly
 
-    def take(self, held: Block, new: Steady) -> Block:
+    def run(self, held: Block, new: Steady) -> Block:
         if self._to.read is not None:
             self._to.read(new.block)
         dropped = new.dropped + held.size
@@ -208,7 +208,7 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink | B
     )
     held = EMPTY
     for new in clock.steady(chain([block], stream)):
-        held = ticks.take(held, new)
+        held = ticks.run(held, new)
     ticks.step(held)
     return Replayed(
         first.t_ns, clock.last_ns, clock.frames, ticks.count, first.channel, gateway, clock
