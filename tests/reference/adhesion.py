@@ -229,11 +229,12 @@ class Adhesion:
         meant = usable[self.known].all() and all(valid[k] for k in counts)
         everyone = self.together.follow(self, alone, counts if meant else [])
         self.lost, self.lost_known, self.severe = [], [], []
-        anyone = any(lib.is_asked(each + k) for k in range(self.n))
+        asked = np.array([bool(lib.is_asked(each + k)) for k in range(self.n)])
         holding = self.known & (adhering >= 0.5) & (self.rotors["far"] == 0)
+        pulls = bool(np.any(holding & asked & (self.rotors["away"] == 0)))
         for k in range(self.n):
-            rotor, is_asked = self.rotors[k], bool(lib.is_asked(each + k))
-            rolls = usable[k] and not anyone and regrip.rolls(rotor, self.load[k])
+            rotor, is_asked = self.rotors[k], asked[k]
+            rolls = self._rolls(k, pulls if asked.any() else None)
             own = load[k], self.common, *(model_p[k] if self.known[k] else (math.nan, math.nan))
             grips = (flag[k] == Flag.BAD or self.held_s[k] > 0.0) and regrip.grips(
                 rotor, *own, alone[k] if valid[k] else math.nan
@@ -273,6 +274,15 @@ class Adhesion:
             self.lost.append(p)
             self.severe.append(bool(self.known[k] and p >= 0.99))
         self.alone, self.each = alone, each
+
+    def _rolls(self, k: int, pulls: bool | None) -> bool:
+        """pulls: a wheel that adheres drives the train; None: no drive is asked for anything."""
+        if pulls is None:
+            return bool(self.responses["usable"][k]) and regrip.rolls(self.rotors[k])
+        commands = self.responses["command"][k], self.responses["previous_command"][k]
+        cut_out = regrip.is_cut_out(*commands, self.most_asked[k])
+        valid = bool(self.inputs["command_valid"][k])
+        return pulls and valid and cut_out and regrip.turns_freely(self.rotors[k])
 
     def _regrip(self, k: int, grips: bool, holds: float, bad: bool) -> None:
         """For how long what drive k lacks may be its own slip control's."""
