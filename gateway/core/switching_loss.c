@@ -16,6 +16,7 @@
 #include "estimators/numbers.h"
 #include "gateway/core/common_loss.h"
 #include "gateway/core/rotors.h"
+#include "gateway/core/train.h"
 
 #define MOST_LOAD 2.0  /* per unit of rated torque; no drive carries more */
 #define SURE      0.99 /* probability of a loss that needs no confirmation */
@@ -68,6 +69,13 @@ static int answers(const struct adhesion *a, int k)
     return full && mine->response_valid && mine->p_response <= ANSWERS;
 }
 
+/* 1 if drive k was never asked for as much as the demand: the load of a wheel that gripped again has
+ * been taken for the demand. */
+static int never_asked(const struct adhesion *a, int k)
+{
+    return a->rotor_inputs[k].command_valid && fabs(a->common) > most_load(a->loads[k].most_asked);
+}
+
 /* 1 if some drive has neither run away nor gripped again just now: it is a measure for others. */
 static int any_measure(const struct adhesion *a)
 {
@@ -91,7 +99,7 @@ void compare_by_memory(struct adhesion *a)
         in->error = command_error(a, k, in->load);
         in->sigma = a->loads[k].sigma;
         in->source = a->loads[k].by_observer;
-        in->answers = (uint8_t)answers(a, k);
+        in->answers = (uint8_t)(answers(a, k) || never_asked(a, k));
         in->apart = a->rotors[k].away || (measured && a->loads[k].regripped_s > 0.0);
         in->unsure = a->rotors[k].away || a->rotors[k].uncertain;
         count += a->known[k] != 0;
@@ -180,6 +188,18 @@ static int is_comparable(const struct adhesion *a, int k, double all)
     return a->known[k] && ((a->loss_known[k] && a->comparable) || asked);
 }
 
+/* Creep of drive k in the direction of the effort. */
+static double slip_of(const struct adhesion *a, int k)
+{
+    return a->common < 0.0 ? -a->rotors[k].creep : a->rotors[k].creep;
+}
+
+/* 1 if the wheel of drive k has run away, or is on its way. */
+static int slips(const struct adhesion *a, int k)
+{
+    return a->rotors[k].away || slip_of(a, k) > SLIDES;
+}
+
 /* Probability of a loss for the flags: above `raise_probability`, below
  * `clear_probability`, or UNDECIDED in between. any: a drive adheres. */
 static double verdict(const struct adhesion *a, int k, double all, int any, int bad,
@@ -188,8 +208,8 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
     const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
     const struct drive_load *mine = &a->loads[k];
     double p = lost + adhering * all;
-    /* A wheel that has run away and stays behind its command, however slowly that developed. */
-    if (a->rotors[k].away && mine->response_valid)
+    /* A wheel that slips and stays behind its command, however slowly that developed. */
+    if (slips(a, k) && mine->response_valid)
         p = larger(p, mine->p_response);
     /* If no drive adheres, the demand may be anything: then a drive that carries what it is asked
      * for adheres. */
@@ -231,12 +251,11 @@ static void follow_regrip(struct adhesion *a, int k, int grips, int bad)
     double *left_s = &a->loads[k].regripped_s;
     const struct rotor *r = &a->rotors[k];
     const double adhering = a->known[k] ? a->switching->adhering[k] : 0.0;
-    const double slip = a->common < 0.0 ? -r->creep : r->creep;
     const double times = adhering >= BACK ? HELD_BACK_S / LOAD_BACK_S : 1.0;
     const int returns = bad || (r->apart && *left_s > 0.0);
     if (is_known_again(a, k, bad) || (grips && returns))
         *left_s = HELD_BACK_S;
-    else if (r->away || !(slip <= SLIDES))
+    else if (r->away || !(slip_of(a, k) <= SLIDES))
         *left_s = 0.0;
     else
         *left_s = larger(0.0, *left_s - times * a->tick_s);

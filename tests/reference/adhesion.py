@@ -34,7 +34,12 @@ from gateway.core.codes import NEVER, Flag, Health
 from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
 from tests.reference import common_loss, regrip
-from tests.reference.train import LEAST_SPEED_RAD_S, MOST_CREEP
+from tests.reference.train import (
+    LEAST_SPEED_RAD_S,
+    MOST_CREEP,
+    UNCOMMANDED,
+    UNCOMMANDED_RELATIVE,
+)
 
 DERATING_NS: Final = 2_000_000_000
 COASTING: Final = 0.05
@@ -81,6 +86,7 @@ class Adhesion:
         self.ratio, self.load, self.asked = np.ones(n), np.zeros(n), np.ones(n)
         self.flagged_ns, self.known_ns, self.held_s = [NEVER] * n, [NEVER] * n, [0.0] * n
         self.unknown_s, self.most_asked, self.carried = [0.0] * n, np.zeros(n), np.zeros(n, bool)
+        self.common = 0.0
         self.speed, self.gain = [math.nan] * n, [0.0] * n
         self.any_flagged_ns = self.learn_ns = NEVER
         self.smoothed, self.comparable = math.nan, False
@@ -211,7 +217,10 @@ class Adhesion:
         model.loads["error"] = np.where(self.derating & (self.asked < 1.0), error, 0.0)
         model.loads["sigma"], model.loads["source"] = self.estimated, self.source
         full = np.abs(self.responses["command"]) >= 0.9 * self.most_asked
-        model.loads["answers"] = full & self.carried
+        # More than any drive was ever asked for: what one that grips again carries.
+        most = (1.0 + UNCOMMANDED_RELATIVE) * self.most_asked + UNCOMMANDED
+        beyond = (self.inputs["command_valid"] == 1) & (abs(self.common) > most)
+        model.loads["answers"] = (full & self.carried) | beyond
         if self.n > 1:
             lib.switching_tick(model.pointer)
             self.common = model.record["demand"].item()
@@ -248,7 +257,8 @@ class Adhesion:
                 continue
             uncertain = int(rotor["uncertain"])
             p = lost[k] + adhering[k] * everyone
-            if rotor["away"] and valid[k]:
+            slip = -rotor["creep"] if self.common < 0.0 else rotor["creep"]
+            if valid[k] and (rotor["away"] or slip > regrip.SLIDES):
                 p = max(p, alone[k])
             behind = valid[k] and alone[k] >= self.rules.raise_probability
             if self.carried[k] and full[k] and not holding.any():

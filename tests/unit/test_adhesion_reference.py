@@ -338,6 +338,60 @@ def test_a_drive_that_is_cut_out_is_accused_until_its_command_comes(others, left
     assert (met[-1] == (True, 0.0)) == cleared
 
 
+@pytest.mark.parametrize(("creep", "common", "valid", "p"), [
+    (0.0501, 0.5, 1, 0.97),
+    (0.05, 0.5, 1, 0.0),  # on the limit it does not slip
+    (-0.0501, 0.5, 1, 0.0),  # slower than the others, as a wheel that pulls does not slip
+    (-0.0501, -0.5, 1, 0.97),  # but as one that brakes does
+    (0.0501, 0.5, 0, 0.0),
+])  # fmt: skip
+def test_a_wheel_that_slips_and_stays_behind_its_command_is_lost(creep, common, valid, p):
+    """The comparison has got used to it: both drives adhere by their loads."""
+    learnt = [(lambda core: core.switching.adhering, 1.0)]
+    core = by_memory(
+        loads__p_response=0.97, loads__response_valid=valid, rotors__creep=creep,
+        record__common=common, first=[*learnt, (lambda core: core.switching.lost, 0.0)],
+    )  # fmt: skip
+    assert core.loss_probability[0] == p
+
+
+@pytest.mark.parametrize(("once", "forgets"), [(0.75, True), (2.0, False)])
+def test_a_demand_that_no_drive_was_ever_asked_for_is_forgotten(once, forgets):
+    """The load of a wheel that gripped, 2, is taken for the demand; all carry the 0.6 that they are
+    asked for, but were asked for `once`. The noise hides now and then that they answer."""
+    rng, both = np.random.default_rng(4), Both([BENCH_MOTOR] * N, detector="switching")
+    both.plain, model, numbers = None, both.core.switching, np.ones(N)
+    for tick in range(150):
+        if tick == 20:
+            model.hypotheses["m"], model.hypotheses["s"], model.hypotheses["v_mm"] = 2.0, 0.0, 1e-4
+            model.drives["adhering"], model.drives["lost"] = 0.0, 1.0
+            model.drives["c"], model.drives["v_c"] = 0.3, 1e-4
+        load = BENCH_MOTOR.T_rated * (0.6 + rng.normal(0.0, 0.03, N))
+        command = BENCH_MOTOR.T_rated * (once if tick < 10 else 0.6) * numbers
+        sent = tick // 10 * 10 * TICK, True
+        given = np.full(N, Health.TRACKING), load, 50.0 * numbers, command, command, sent
+        both.tick((*given, numbers > 0.0, 1.0), tick * TICK)
+        if tick == 30:
+            assert both.core.record["common"] > 1.5
+    assert (both.core.record["common"] < 0.7) == forgets
+    assert (model.adhering > 0.9).all() == forgets
+
+
+@pytest.mark.parametrize(("demand", "valid", "answers"), [
+    (0.8101, True, True), (-0.8101, True, True), (0.8099, True, False), (0.8101, False, False),
+])  # fmt: skip
+def test_on_the_limit_a_demand_is_more_than_a_drive_was_ever_asked_for(demand, valid, answers):
+    """0.6 of rated torque, 0.15 of that and 0.12; no drive carries what it is asked for."""
+    both, rated = Both([BENCH_MOTOR] * N, detector="switching"), BENCH_MOTOR.T_rated
+    both.plain, numbers = None, np.ones(N)
+    for tick in range(3):
+        both.core.record["common"] = demand
+        health, command = np.full(N, Health.TRACKING), 0.6 * rated * numbers
+        both.tick((health, 0.3 * rated * numbers, 50.0 * numbers, command, command, (0, True),
+                   np.full(N, valid or tick < 2), 1.0), tick * TICK)  # fmt: skip
+    assert (both.core.switching.loads["answers"] == answers).all()
+
+
 @pytest.mark.parametrize("detector", ["vb", "switching"])
 def test_a_copy_goes_on_alone(detector):
     rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N, detector=detector)
@@ -417,11 +471,11 @@ def test_a_monitor_that_is_reset_knows_nothing():
     assert not any(array.view(np.uint8).any() for array in known_nothing)
 
 
-def by_memory(asked=False, other=(), **given):
+def by_memory(asked=False, first=(), other=(), **given):
     """Two drives judged by `switching`: the first has no command, the second adheres.
 
-    given: fields of the first drive, record__field. asked: the second has a command. other: arrays
-    of the second, as functions of the monitor, and their values.
+    given: fields of the first drive, record__field. asked: the second has a command. first, other:
+    arrays of the first and of the second, as functions of the monitor, and their values.
     """
     core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 2, RULES, TICK)
     core.switching.adhering[:], core.switching.lost[:] = (0.05, 1.0), (0.95, 0.0)
@@ -434,8 +488,9 @@ def by_memory(asked=False, other=(), **given):
     if asked:
         core.responses["usable"][1] = 1
         core.responses["command"][1] = core.responses["previous_command"][1] = 0.5
-    for array, value in other:
-        array(core)[1] = value
+    for k, arrays in enumerate((first, other)):
+        for array, value in arrays:
+            array(core)[k] = value
     status = np.zeros(2, DRIVE_STATUS)
     lib.judge_by_memory(
         pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0
