@@ -188,18 +188,6 @@ static int is_comparable(const struct adhesion *a, int k, double all)
     return a->known[k] && ((a->loss_known[k] && a->comparable) || asked);
 }
 
-/* Creep of drive k in the direction of the effort. */
-static double slip_of(const struct adhesion *a, int k)
-{
-    return a->common < 0.0 ? -a->rotors[k].creep : a->rotors[k].creep;
-}
-
-/* 1 if the wheel of drive k has run away, or is on its way. */
-static int slips(const struct adhesion *a, int k)
-{
-    return a->rotors[k].away || slip_of(a, k) > SLIDES;
-}
-
 /* Probability of a loss for the flags: above `raise_probability`, below
  * `clear_probability`, or UNDECIDED in between. any: a drive adheres. */
 static double verdict(const struct adhesion *a, int k, double all, int any, int bad,
@@ -208,8 +196,8 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
     const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
     const struct drive_load *mine = &a->loads[k];
     double p = lost + adhering * all;
-    /* A wheel that slips and stays behind its command, however slowly that developed. */
-    if (slips(a, k) && mine->response_valid)
+    /* A wheel that has run away and stays behind its command, however slowly that developed. */
+    if (a->rotors[k].away && mine->response_valid)
         p = larger(p, mine->p_response);
     /* If no drive adheres, the demand may be anything: then a drive that carries what it is asked
      * for adheres. */
@@ -251,11 +239,12 @@ static void follow_regrip(struct adhesion *a, int k, int grips, int bad)
     double *left_s = &a->loads[k].regripped_s;
     const struct rotor *r = &a->rotors[k];
     const double adhering = a->known[k] ? a->switching->adhering[k] : 0.0;
+    const double slip = a->common < 0.0 ? -r->creep : r->creep;
     const double times = adhering >= BACK ? HELD_BACK_S / LOAD_BACK_S : 1.0;
     const int returns = bad || (r->apart && *left_s > 0.0);
     if (is_known_again(a, k, bad) || (grips && returns))
         *left_s = HELD_BACK_S;
-    else if (r->away || !(slip_of(a, k) <= SLIDES))
+    else if (r->away || !(slip <= SLIDES))
         *left_s = 0.0;
     else
         *left_s = larger(0.0, *left_s - times * a->tick_s);

@@ -257,8 +257,7 @@ class Adhesion:
                 continue
             uncertain = int(rotor["uncertain"])
             p = lost[k] + adhering[k] * everyone
-            slip = -rotor["creep"] if self.common < 0.0 else rotor["creep"]
-            if valid[k] and (rotor["away"] or slip > regrip.SLIDES):
+            if rotor["away"] and valid[k]:
                 p = max(p, alone[k])
             behind = valid[k] and alone[k] >= self.rules.raise_probability
             if self.carried[k] and full[k] and not holding.any():

@@ -338,23 +338,6 @@ def test_a_drive_that_is_cut_out_is_accused_until_its_command_comes(others, left
     assert (met[-1] == (True, 0.0)) == cleared
 
 
-@pytest.mark.parametrize(("creep", "common", "valid", "p"), [
-    (0.0501, 0.5, 1, 0.97),
-    (0.05, 0.5, 1, 0.0),  # on the limit it does not slip
-    (-0.0501, 0.5, 1, 0.0),  # slower than the others, as a wheel that pulls does not slip
-    (-0.0501, -0.5, 1, 0.97),  # but as one that brakes does
-    (0.0501, 0.5, 0, 0.0),
-])  # fmt: skip
-def test_a_wheel_that_slips_and_stays_behind_its_command_is_lost(creep, common, valid, p):
-    """The comparison has got used to it: both drives adhere by their loads."""
-    learnt = [(lambda core: core.switching.adhering, 1.0)]
-    core = by_memory(
-        loads__p_response=0.97, loads__response_valid=valid, rotors__creep=creep,
-        record__common=common, first=[*learnt, (lambda core: core.switching.lost, 0.0)],
-    )  # fmt: skip
-    assert core.loss_probability[0] == p
-
-
 @pytest.mark.parametrize(("once", "forgets"), [(0.75, True), (2.0, False)])
 def test_a_demand_that_no_drive_was_ever_asked_for_is_forgotten(once, forgets):
     """The load of a wheel that gripped, 2, is taken for the demand; all carry the 0.6 that they are
@@ -471,11 +454,11 @@ def test_a_monitor_that_is_reset_knows_nothing():
     assert not any(array.view(np.uint8).any() for array in known_nothing)
 
 
-def by_memory(asked=False, first=(), other=(), **given):
+def by_memory(asked=False, other=(), **given):
     """Two drives judged by `switching`: the first has no command, the second adheres.
 
-    given: fields of the first drive, record__field. asked: the second has a command. first, other:
-    arrays of the first and of the second, as functions of the monitor, and their values.
+    given: fields of the first drive, record__field. asked: the second has a command. other: arrays
+    of the second, as functions of the monitor, and their values.
     """
     core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 2, RULES, TICK)
     core.switching.adhering[:], core.switching.lost[:] = (0.05, 1.0), (0.95, 0.0)
@@ -488,9 +471,8 @@ def by_memory(asked=False, first=(), other=(), **given):
     if asked:
         core.responses["usable"][1] = 1
         core.responses["command"][1] = core.responses["previous_command"][1] = 0.5
-    for k, arrays in enumerate((first, other)):
-        for array, value in arrays:
-            array(core)[k] = value
+    for array, value in other:
+        array(core)[1] = value
     status = np.zeros(2, DRIVE_STATUS)
     lib.judge_by_memory(
         pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0
