@@ -454,11 +454,11 @@ def test_a_monitor_that_is_reset_knows_nothing():
     assert not any(array.view(np.uint8).any() for array in known_nothing)
 
 
-def by_memory(asked=False, other=(), **given):
+def by_memory(asked=False, bad=False, other=(), **given):
     """Two drives judged by `switching`: the first has no command, the second adheres.
 
-    given: fields of the first drive, record__field. asked: the second has a command. other: arrays
-    of the second, as functions of the monitor, and their values.
+    given: fields of the first drive, record__field. bad: its flag; asked: the second has a command.
+    other: arrays of the second, as functions of the monitor, and their values.
     """
     core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 2, RULES, TICK)
     core.switching.adhering[:], core.switching.lost[:] = (0.05, 1.0), (0.95, 0.0)
@@ -474,6 +474,7 @@ def by_memory(asked=False, other=(), **given):
     for array, value in other:
         array(core)[1] = value
     status = np.zeros(2, DRIVE_STATUS)
+    status["flag"][0, FlagKind.ADHESION]["state"] = Flag.BAD if bad else Flag.UNKNOWN
     lib.judge_by_memory(
         pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0
     )
@@ -593,3 +594,37 @@ def test_a_train_rolls_whatever_lies_behind_its_drives():
         detect(core, told.estimates, come, drives, status, tick * TICK)
     assert core.loss_known[:2].tolist() == [1, 1]
     assert core.loss_probability[:2].tolist() == [0.0, 0.0]
+
+
+def test_a_drive_that_is_cut_out_rolls_along_with_none_that_lies_behind_its_drives():
+    """Of two drives the second one is lost; in the room behind them one adheres under load."""
+    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = core.switching.record["n"] = 2
+    core.switching.adhering[:], core.switching.lost[:] = (0.0, 0.0, 1.0), (1.0, 1.0, 0.0)
+    core.known[:] = core.responses["usable"][:] = core.rotor_inputs["command_valid"][:] = 1
+    core.responses["command"], core.responses["previous_command"] = (0.0, 0.5, 0.5), (0.0, 0.5, 0.5)
+    core.rotors["creep"] = core.rotors["load"] = 0.0
+    status = np.zeros(2, DRIVE_STATUS)
+    record = pointer("struct adhesion", core.record)
+    lib.judge_by_memory(record, pointer("struct drive_status", status), 0)
+    assert core.loss_probability[0] != 0.0
+    core.record["n"] = core.switching.record["n"] = 3
+    lib.judge_by_memory(record, pointer("struct drive_status", np.zeros(3, DRIVE_STATUS)), 0)
+    assert core.loss_probability[0] == 0.0
+
+
+def test_drives_that_gripped_are_a_measure_whatever_lies_behind_them():
+    """Two of two drives gripped just now; the third in the room is none of them."""
+    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = core.switching.record["n"] = 2
+    core.known[:], core.loads["regripped_s"][:2] = 1, 1.0
+    core.loads["command_ratio"] = 1.0
+    lib.adhesion_detect(pointer("struct adhesion", core.record))
+    assert core.switching.loads["apart"][:2].tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("bad", [True, False])
+def test_a_flagged_wheel_that_has_gripped_may_be_held_back(bad):
+    gripped = {"loads__load": 0.5, "loads__regripped_s": 1.0, "rotors__above": 1}
+    left_s = by_memory(bad=bad, **gripped).loads["regripped_s"][0]
+    assert left_s == (2.0 if bad else pytest.approx(0.99))
