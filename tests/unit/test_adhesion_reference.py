@@ -628,3 +628,16 @@ def test_a_flagged_wheel_that_has_gripped_may_be_held_back(bad):
     gripped = {"loads__load": 0.5, "loads__regripped_s": 1.0, "rotors__above": 1}
     left_s = by_memory(bad=bad, **gripped).loads["regripped_s"][0]
     assert left_s == (2.0 if bad else pytest.approx(0.99))
+
+
+@pytest.mark.parametrize(("p", "grips"), [(0.1, True), (0.1001, False)])
+def test_on_the_limit_a_wheel_that_has_gripped_answers_its_command(p, grips):
+    gripped = {"loads__load": 0.5, "loads__regripped_s": 1.0, "rotors__above": 1}
+    core = by_memory(loads__response_valid=1, loads__p_response=p, **gripped)
+    assert (core.loss_probability[0] == 0.0) == grips
+
+
+@pytest.mark.parametrize(("learnt_s", "left_s"), [(0.5, 2.0), (0.499, 0.0)])
+def test_on_the_limit_a_drive_that_is_known_again_has_turned_with_the_others(learnt_s, left_s):
+    core = by_memory(loads__unknown_s=0.1, rotors__learnt_s=learnt_s)
+    assert core.loads["regripped_s"][0] == left_s
