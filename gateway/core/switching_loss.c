@@ -16,6 +16,7 @@
 #include "estimators/numbers.h"
 #include "gateway/core/common_loss.h"
 #include "gateway/core/rotors.h"
+#include "gateway/core/train.h"
 
 #define MOST_LOAD 2.0  /* per unit of rated torque; no drive carries more */
 #define SURE      0.99 /* probability of a loss that needs no confirmation */
@@ -32,6 +33,7 @@
 #define NEAR          0.03 /* creep of a wheel that turns with the others */
 #define STEADY        0.02 /* change of its speed within 0.5 s: no brake slows it */
 #define LITTLE        0.1  /* load, per unit of rated torque, of a wheel that carries nothing */
+#define CUT_OUT 0.2 /* share of its largest command, less than of a drive that follows a flag */
 /* A drive that follows its own flag changes its torque between two `Status` frames: by this share
  * of the largest command per second, but by no more than this share of its own. */
 #define RETURN_PER_S 1.0
@@ -67,6 +69,13 @@ static int answers(const struct adhesion *a, int k)
     return full && mine->response_valid && mine->p_response <= ANSWERS;
 }
 
+/* 1 if drive k was never asked for as much as the demand: the load of a wheel that gripped again has
+ * been taken for the demand. */
+static int never_asked(const struct adhesion *a, int k)
+{
+    return a->rotor_inputs[k].command_valid && fabs(a->common) > most_load(a->loads[k].most_asked);
+}
+
 /* 1 if some drive has neither run away nor gripped again just now: it is a measure for others. */
 static int any_measure(const struct adhesion *a)
 {
@@ -90,7 +99,7 @@ void compare_by_memory(struct adhesion *a)
         in->error = command_error(a, k, in->load);
         in->sigma = a->loads[k].sigma;
         in->source = a->loads[k].by_observer;
-        in->answers = (uint8_t)answers(a, k);
+        in->answers = (uint8_t)(answers(a, k) || never_asked(a, k));
         in->apart = a->rotors[k].away || (measured && a->loads[k].regripped_s > 0.0);
         in->unsure = a->rotors[k].away || a->rotors[k].uncertain;
         count += a->known[k] != 0;
@@ -110,12 +119,18 @@ void compare_by_memory(struct adhesion *a)
     a->common = s->demand;
 }
 
-/* 1 if a drive adheres and turns with the others, so that others can be lost beside it. If none
- * does, the demand may be anything; wheels that never turned alike need not carry alike. */
+/* 1 if drive k adheres and turns with the others. */
+static int holds(const struct adhesion *a, int k)
+{
+    return a->known[k] && a->switching->adhering[k] >= GRIPS && !a->rotors[k].far;
+}
+
+/* 1 if any drive adheres, so that others can be lost beside it. If none does, the demand may be
+ * anything; wheels that never turned alike need not carry alike. */
 static int any_adheres(const struct adhesion *a)
 {
     for (int k = 0; k < a->n; k++)
-        if (a->known[k] && a->switching->adhering[k] >= GRIPS && !a->rotors[k].far)
+        if (holds(a, k))
             return 1;
     return 0;
 }
@@ -128,15 +143,35 @@ static int any_asked(const struct adhesion *a)
     return 0;
 }
 
-/* 1 if drive k rolls: the train is asked for nothing, the drive carries nothing and turns with the
- * others at constant speed. If all slow down, friction brakes may be the cause: all may slide. */
+/* 1 if a rotor that is tracked carries nothing and turns with the others. */
+static int turns_freely(const struct rotor *r)
+{
+    return fabs(r->creep) <= NEAR && !r->apart && fabs(r->load) <= LITTLE;
+}
+
+/* 1 if drive k rolls: the train is asked for nothing, and the drive turns freely at constant speed.
+ * If all slow down, friction brakes may be the cause: all may slide. */
 static int rolls(const struct adhesion *a, int k)
 {
     const struct rotor *r = &a->rotors[k];
     const double slow = fabs(r->slow_speed), change = r->speed * r->diameter - slow;
-    const int usable = a->responses[k].usable;
-    const int follows = fabs(r->creep) <= NEAR && !r->apart;
-    return usable && follows && fabs(change) <= STEADY * slow && fabs(a->loads[k].load) <= LITTLE;
+    return a->responses[k].usable && turns_freely(r) && fabs(change) <= STEADY * slow;
+}
+
+/* 1 if drive k, cut out of a train that is driven, rolls with wheels that adhere. Its command comes
+ * after its load has gone, so it may be flagged. A drive that follows its flag is asked for more. */
+static int rolls_along(const struct adhesion *a, int k)
+{
+    const struct command_response *own = &a->responses[k];
+    const double most = a->loads[k].most_asked;
+    const int less = most <= LITTLE || fabs(own->command) < CUT_OUT * most;
+    const int cut_out = a->rotor_inputs[k].command_valid && less && is_coasting(own);
+    if (!cut_out || !turns_freely(&a->rotors[k]))
+        return 0;
+    for (int i = 0; i < a->n; i++)
+        if (holds(a, i) && is_asked(&a->responses[i]) && !a->rotors[i].away)
+            return 1;
+    return 0;
 }
 
 /* 1 if drive k can be judged at all. */
@@ -260,7 +295,7 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int6
     for (int k = 0; k < a->n; k++) {
         struct rotor *r = &a->rotors[k];
         const int bad = status[k].flag[FLAG_ADHESION].state == FLAG_BAD;
-        if (!asked && rolls(a, k)) {
+        if (asked ? rolls_along(a, k) : rolls(a, k)) {
             clear_loss(a, k);
             continue;
         }

@@ -49,6 +49,11 @@ static int is_like_others(const struct train_tick *t, int k)
     return fabs(t->rotor[k].load - load) <= LOAD_NEAR * fabs(load) + LOAD_NEAR_FLOOR;
 }
 
+double most_load(double asked)
+{
+    return asked + UNCOMMANDED + UNCOMMANDED_RELATIVE * asked;
+}
+
 /* 1 if a drive has carried a load that its command does not explain, for too long. */
 static int is_uncommanded(const struct train_tick *t, struct rotor *r,
                           const struct rotor_inputs *in)
@@ -57,7 +62,7 @@ static int is_uncommanded(const struct train_tick *t, struct rotor *r,
     const double sign = load >= 0.0 ? 1.0 : -1.0;
     const double most = larger(sign * in->previous_command_nm, sign * in->command_nm);
     const double asked = larger(0.0, most) / r->rated_nm;
-    const int beyond = sign * load - asked > UNCOMMANDED + UNCOMMANDED_RELATIVE * asked;
+    const int beyond = sign * load > most_load(asked);
     r->uncommanded_s = beyond ? r->uncommanded_s + t->tick_s : 0.0;
     return r->uncommanded_s > COMMAND_LATE_S;
 }

@@ -13,4 +13,7 @@ void train_reset(struct rotor *rotors, int n);
 void assess_train(struct rotor *rotors, struct rotor_inputs *inputs, int n, int64_t now_ns,
                   double tick_s, double *workspace);
 
+/* Largest load, per unit of rated torque, of a drive that is asked for `asked`, also per unit. */
+double most_load(double asked);
+
 #endif

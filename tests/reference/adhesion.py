@@ -34,7 +34,12 @@ from gateway.core.codes import NEVER, Flag, Health
 from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
 from tests.reference import common_loss, regrip
-from tests.reference.train import LEAST_SPEED_RAD_S, MOST_CREEP
+from tests.reference.train import (
+    LEAST_SPEED_RAD_S,
+    MOST_CREEP,
+    UNCOMMANDED,
+    UNCOMMANDED_RELATIVE,
+)
 
 DERATING_NS: Final = 2_000_000_000
 COASTING: Final = 0.05
@@ -81,6 +86,7 @@ class Adhesion:
         self.ratio, self.load, self.asked = np.ones(n), np.zeros(n), np.ones(n)
         self.flagged_ns, self.known_ns, self.held_s = [NEVER] * n, [NEVER] * n, [0.0] * n
         self.unknown_s, self.most_asked, self.carried = [0.0] * n, np.zeros(n), np.zeros(n, bool)
+        self.common = 0.0
         self.speed, self.gain = [math.nan] * n, [0.0] * n
         self.any_flagged_ns = self.learn_ns = NEVER
         self.smoothed, self.comparable = math.nan, False
@@ -211,7 +217,10 @@ class Adhesion:
         model.loads["error"] = np.where(self.derating & (self.asked < 1.0), error, 0.0)
         model.loads["sigma"], model.loads["source"] = self.estimated, self.source
         full = np.abs(self.responses["command"]) >= 0.9 * self.most_asked
-        model.loads["answers"] = full & self.carried
+        # More than any drive was ever asked for: what one that grips again carries.
+        most = (1.0 + UNCOMMANDED_RELATIVE) * self.most_asked + UNCOMMANDED
+        beyond = (self.inputs["command_valid"] == 1) & (abs(self.common) > most)
+        model.loads["answers"] = (full & self.carried) | beyond
         if self.n > 1:
             lib.switching_tick(model.pointer)
             self.common = model.record["demand"].item()
@@ -229,11 +238,12 @@ class Adhesion:
         meant = usable[self.known].all() and all(valid[k] for k in counts)
         everyone = self.together.follow(self, alone, counts if meant else [])
         self.lost, self.lost_known, self.severe = [], [], []
-        anyone = any(lib.is_asked(each + k) for k in range(self.n))
+        asked = np.array([bool(lib.is_asked(each + k)) for k in range(self.n)])
         holding = self.known & (adhering >= 0.5) & (self.rotors["far"] == 0)
+        pulls = bool(np.any(holding & asked & (self.rotors["away"] == 0)))
         for k in range(self.n):
-            rotor, is_asked = self.rotors[k], bool(lib.is_asked(each + k))
-            rolls = usable[k] and not anyone and regrip.rolls(rotor, self.load[k])
+            rotor, is_asked = self.rotors[k], asked[k]
+            rolls = self._rolls(k, pulls if asked.any() else None)
             own = load[k], self.common, *(model_p[k] if self.known[k] else (math.nan, math.nan))
             grips = (flag[k] == Flag.BAD or self.held_s[k] > 0.0) and regrip.grips(
                 rotor, *own, alone[k] if valid[k] else math.nan
@@ -273,6 +283,15 @@ class Adhesion:
             self.lost.append(p)
             self.severe.append(bool(self.known[k] and p >= 0.99))
         self.alone, self.each = alone, each
+
+    def _rolls(self, k: int, pulls: bool | None) -> bool:
+        """pulls: a wheel that adheres drives the train; None: no drive is asked for anything."""
+        if pulls is None:
+            return bool(self.responses["usable"][k]) and regrip.rolls(self.rotors[k])
+        commands = self.responses["command"][k], self.responses["previous_command"][k]
+        cut_out = regrip.is_cut_out(*commands, self.most_asked[k])
+        valid = bool(self.inputs["command_valid"][k])
+        return pulls and valid and cut_out and regrip.turns_freely(self.rotors[k])
 
     def _regrip(self, k: int, grips: bool, holds: float, bad: bool) -> None:
         """For how long what drive k lacks may be its own slip control's."""

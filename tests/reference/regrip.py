@@ -1,6 +1,6 @@
 """When the comparison of loads has nothing to say: wheels that roll, and wheels that grip again.
 
-As `rolls`, `has_gripped` and `follow_regrip` in `switching_loss.c`.
+As `rolls`, `rolls_along`, `has_gripped` and `follow_regrip` in `switching_loss.c`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 NEAR: Final = 0.03
 LITTLE: Final = 0.1
 STEADY: Final = 0.02
+CUT_OUT: Final = 0.2
 LEAST_GRIP: Final = 0.5
 MOST_LOSS: Final = 0.1
 ROUGH_S: Final = 0.5
@@ -23,12 +24,26 @@ FASTER: Final = 20
 """So much sooner it ends while the load is back."""
 
 
-def rolls(rotor: Any, load: float) -> bool:
+def rolls(rotor: Any) -> bool:
     """Whether a drive, asked for nothing, turns on with the others and carries nothing."""
     slow = abs(rotor["slow_speed"])
     goes_on = abs(rotor["speed"] * rotor["diameter"] - slow) <= STEADY * slow
-    near = abs(rotor["creep"]) <= NEAR and abs(load) <= LITTLE
-    return bool(goes_on and near and not rotor["apart"])
+    return bool(goes_on and turns_freely(rotor))
+
+
+def turns_freely(rotor: Any) -> bool:
+    """Whether a drive carries nothing and turns as fast as the others."""
+    near = abs(rotor["creep"]) <= NEAR and abs(rotor["load"]) <= LITTLE
+    return bool(near and not rotor["apart"])
+
+
+def is_cut_out(command: float, previous: float, most: float) -> bool:
+    """Whether a drive is asked for next to nothing, and for less than one that follows a flag.
+
+    All per unit of rated torque; most: the largest command of the last seconds.
+    """
+    coasts = max(abs(command), abs(previous), abs(2.0 * command - previous)) < LITTLE
+    return coasts and (most <= LITTLE or abs(command) < CUT_OUT * most)
 
 
 def grips(

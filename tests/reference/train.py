@@ -364,7 +364,7 @@ def _uncommanded(k: int, tick_s: float, slow: SlowState, told: Told, train: Trai
     load = told.load[k] / train.rated[k] + train.taken[k]
     sign = 1.0 if load >= 0.0 else -1.0
     asked = max(sign * slow.command[k], sign * slow.before[k], 0.0) / train.rated[k]
-    beyond = sign * load - asked > UNCOMMANDED + UNCOMMANDED_RELATIVE * asked
+    beyond = sign * load > asked + UNCOMMANDED + UNCOMMANDED_RELATIVE * asked
     train.uncommanded_s[k] = train.uncommanded_s[k] + tick_s if beyond else 0.0
     return bool(train.uncommanded_s[k] > COMMAND_LATE_S)
 

@@ -313,6 +313,68 @@ def test_who_carries_what_nobody_asked_for_or_slows_down_does_not_only_roll(load
     assert (opinion.known == known).all()
 
 
+@pytest.mark.parametrize(("others", "left", "slips", "cleared"), [
+    (0.5, 0.0, 0.0, True),
+    (0.5, 0.02, 0.0, True),
+    (0.5, 0.0, 0.05, False),  # it does not turn with the others
+    (0.0, 0.0, 0.0, True),  # nobody is asked: the train rolls
+])  # fmt: skip
+def test_a_drive_that_is_cut_out_is_accused_until_its_command_comes(others, left, slips, cleared):
+    """Its load goes 0.1 s before; the train, at 0.6 of rated torque until then, is driven on."""
+    both, rated = Both([BENCH_MOTOR] * N, detector="switching"), BENCH_MOTOR.T_rated
+    health, first, met = np.full(N, Health.TRACKING), np.arange(N) == 0, []
+    for tick in range(150):
+        asked = np.full(N, 0.6 if tick < 100 else others)
+        command = np.where(first & (tick >= 100), left, asked) * rated
+        load = np.where(first & (tick >= 90), left, asked) * rated
+        speed = 50.0 * (1.0 + slips * first * (tick >= 90))
+        sent = tick // 10 * 10 * TICK
+        given = health, load, speed, command, command, (sent, True), command >= 0.0, 1.0
+        opinion = both.tick(given, tick * TICK)
+        both.decide(opinion, tick * TICK)
+        met.append((opinion.known[0].item(), round(opinion.lost[0].item(), 2)))
+    assert met[80] == (True, 0.0)
+    assert met[95] == (True, 1.0)
+    assert (met[-1] == (True, 0.0)) == cleared
+
+
+@pytest.mark.parametrize(("once", "forgets"), [(0.75, True), (2.0, False)])
+def test_a_demand_that_no_drive_was_ever_asked_for_is_forgotten(once, forgets):
+    """The load of a wheel that gripped, 2, is taken for the demand; all carry the 0.6 that they are
+    asked for, but were asked for `once`. The noise hides now and then that they answer."""
+    rng, both = np.random.default_rng(4), Both([BENCH_MOTOR] * N, detector="switching")
+    both.plain, model, numbers = None, both.core.switching, np.ones(N)
+    for tick in range(150):
+        if tick == 20:
+            model.hypotheses["m"], model.hypotheses["s"], model.hypotheses["v_mm"] = 2.0, 0.0, 1e-4
+            model.drives["adhering"], model.drives["lost"] = 0.0, 1.0
+            model.drives["c"], model.drives["v_c"] = 0.3, 1e-4
+        load = BENCH_MOTOR.T_rated * (0.6 + rng.normal(0.0, 0.03, N))
+        command = BENCH_MOTOR.T_rated * (once if tick < 10 else 0.6) * numbers
+        sent = tick // 10 * 10 * TICK, True
+        given = np.full(N, Health.TRACKING), load, 50.0 * numbers, command, command, sent
+        both.tick((*given, numbers > 0.0, 1.0), tick * TICK)
+        if tick == 30:
+            assert both.core.record["common"] > 1.5
+    assert (both.core.record["common"] < 0.7) == forgets
+    assert (model.adhering > 0.9).all() == forgets
+
+
+@pytest.mark.parametrize(("demand", "valid", "answers"), [
+    (0.8101, True, True), (-0.8101, True, True), (0.8099, True, False), (0.8101, False, False),
+])  # fmt: skip
+def test_on_the_limit_a_demand_is_more_than_a_drive_was_ever_asked_for(demand, valid, answers):
+    """0.6 of rated torque, 0.15 of that and 0.12; no drive carries what it is asked for."""
+    both, rated = Both([BENCH_MOTOR] * N, detector="switching"), BENCH_MOTOR.T_rated
+    both.plain, numbers = None, np.ones(N)
+    for tick in range(3):
+        both.core.record["common"] = demand
+        health, command = np.full(N, Health.TRACKING), 0.6 * rated * numbers
+        both.tick((health, 0.3 * rated * numbers, 50.0 * numbers, command, command, (0, True),
+                   np.full(N, valid or tick < 2), 1.0), tick * TICK)  # fmt: skip
+    assert (both.core.switching.loads["answers"] == answers).all()
+
+
 @pytest.mark.parametrize("detector", ["vb", "switching"])
 def test_a_copy_goes_on_alone(detector):
     rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N, detector=detector)
@@ -392,18 +454,27 @@ def test_a_monitor_that_is_reset_knows_nothing():
     assert not any(array.view(np.uint8).any() for array in known_nothing)
 
 
-def by_memory(**given):
-    """Two drives judged by `switching`: the first has what is given and no command, the second
-    adheres. fields of a record: name__field."""
+def by_memory(asked=False, bad=False, other=(), **given):
+    """Two drives judged by `switching`: the first has no command, the second adheres.
+
+    given: fields of the first drive, record__field. bad: its flag; asked: the second has a command.
+    other: arrays of the second, as functions of the monitor, and their values.
+    """
     core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 2, RULES, TICK)
     core.switching.adhering[:], core.switching.lost[:] = (0.05, 1.0), (0.95, 0.0)
     core.known[:] = core.loss_known[:] = core.record["comparable"] = 1
-    core.rotors["creep"], core.rotors["learnt_s"] = 0.0, 1.0
+    core.rotors["creep"], core.rotors["learnt_s"], core.rotors["load"] = 0.0, 1.0, 0.0
     core.record["common"] = core.record["common_smoothed"] = 0.5
     for name, value in given.items():
         record, _, field = name.partition("__")
         getattr(core, record)[field][0] = value
+    if asked:
+        core.responses["usable"][1] = 1
+        core.responses["command"][1] = core.responses["previous_command"][1] = 0.5
+    for array, value in other:
+        array(core)[1] = value
     status = np.zeros(2, DRIVE_STATUS)
+    status["flag"][0, FlagKind.ADHESION]["state"] = Flag.BAD if bad else Flag.UNKNOWN
     lib.judge_by_memory(
         pointer("struct adhesion", core.record), pointer("struct drive_status", status), 0
     )
@@ -415,6 +486,41 @@ def test_on_the_limit_a_wheel_that_is_asked_for_nothing_turns_with_the_others(cr
     turning = {"rotors__speed": 50.0, "rotors__slow_speed": 50.0, "rotors__creep": creep}
     core = by_memory(responses__usable=1, **turning)
     assert core.loss_probability[0] == (0.0 if abs(creep) <= 0.03 else 0.95)
+
+
+@pytest.mark.parametrize(("command", "before", "most", "rolls"), [
+    (0.0999, 0.0999, 0.5, True),
+    (0.0999, 0.0999, 0.4995, False),  # not less than a fifth
+    (0.1, 0.1, 0.9, False),  # asked
+    (0.05, 0.0, 0.9, False),  # perhaps it will be asked for 0.1
+    (0.09, 0.09, 0.1, True),  # it has been asked for nothing all the time
+    (0.09, 0.09, 0.1001, False),
+])  # fmt: skip
+def test_on_the_limit_a_drive_is_cut_out(command, before, most, rolls):
+    given = {"command": command, "previous_command": before}
+    given = {f"responses__{name}": value for name, value in given.items()}
+    given |= {"loads__most_asked": most, "rotor_inputs__command_valid": 1}
+    core = by_memory(asked=True, **given)
+    assert (core.loss_probability[0] == 0.0) == rolls
+
+
+OTHER_WHEEL = {
+    "not known": [(lambda core: core.known, 0)],
+    "lost": [(lambda core: core.switching.adhering, 0.4999)],
+    "far": [(lambda core: core.rotors["far"], 1)],
+    "away": [(lambda core: core.rotors["away"], 1)],
+    "asked for nothing": [
+        (lambda core: core.responses["command"], 0.0999),
+        (lambda core: core.responses["previous_command"], 0.0999),
+    ],
+}
+
+
+@pytest.mark.parametrize("other", OTHER_WHEEL.values(), ids=OTHER_WHEEL)
+def test_a_drive_that_is_cut_out_rolls_along_with_one_that_adheres_under_load(other):
+    given = {"rotor_inputs__command_valid": 1, "asked": True}
+    assert by_memory(**given).loss_probability[0] == 0.0
+    assert by_memory(**given, other=other).loss_probability[0] != 0.0
 
 
 @pytest.mark.parametrize("load", [0.5, 0.4999])
@@ -488,3 +594,50 @@ def test_a_train_rolls_whatever_lies_behind_its_drives():
         detect(core, told.estimates, come, drives, status, tick * TICK)
     assert core.loss_known[:2].tolist() == [1, 1]
     assert core.loss_probability[:2].tolist() == [0.0, 0.0]
+
+
+def test_a_drive_that_is_cut_out_rolls_along_with_none_that_lies_behind_its_drives():
+    """Of two drives the second one is lost; in the room behind them one adheres under load."""
+    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = core.switching.record["n"] = 2
+    core.switching.adhering[:], core.switching.lost[:] = (0.0, 0.0, 1.0), (1.0, 1.0, 0.0)
+    core.known[:] = core.responses["usable"][:] = core.rotor_inputs["command_valid"][:] = 1
+    core.responses["command"], core.responses["previous_command"] = (0.0, 0.5, 0.5), (0.0, 0.5, 0.5)
+    core.rotors["creep"] = core.rotors["load"] = 0.0
+    status = np.zeros(2, DRIVE_STATUS)
+    record = pointer("struct adhesion", core.record)
+    lib.judge_by_memory(record, pointer("struct drive_status", status), 0)
+    assert core.loss_probability[0] != 0.0
+    core.record["n"] = core.switching.record["n"] = 3
+    lib.judge_by_memory(record, pointer("struct drive_status", np.zeros(3, DRIVE_STATUS)), 0)
+    assert core.loss_probability[0] == 0.0
+
+
+def test_drives_that_gripped_are_a_measure_whatever_lies_behind_them():
+    """Two of two drives gripped just now; the third in the room is none of them."""
+    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = core.switching.record["n"] = 2
+    core.known[:], core.loads["regripped_s"][:2] = 1, 1.0
+    core.loads["command_ratio"] = 1.0
+    lib.adhesion_detect(pointer("struct adhesion", core.record))
+    assert core.switching.loads["apart"][:2].tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("bad", [True, False])
+def test_a_flagged_wheel_that_has_gripped_may_be_held_back(bad):
+    gripped = {"loads__load": 0.5, "loads__regripped_s": 1.0, "rotors__above": 1}
+    left_s = by_memory(bad=bad, **gripped).loads["regripped_s"][0]
+    assert left_s == (2.0 if bad else pytest.approx(0.99))
+
+
+@pytest.mark.parametrize(("p", "grips"), [(0.1, True), (0.1001, False)])
+def test_on_the_limit_a_wheel_that_has_gripped_answers_its_command(p, grips):
+    gripped = {"loads__load": 0.5, "loads__regripped_s": 1.0, "rotors__above": 1}
+    core = by_memory(loads__response_valid=1, loads__p_response=p, **gripped)
+    assert (core.loss_probability[0] == 0.0) == grips
+
+
+@pytest.mark.parametrize(("learnt_s", "left_s"), [(0.5, 2.0), (0.499, 0.0)])
+def test_on_the_limit_a_drive_that_is_known_again_has_turned_with_the_others(learnt_s, left_s):
+    core = by_memory(loads__unknown_s=0.1, rotors__learnt_s=learnt_s)
+    assert core.loads["regripped_s"][0] == left_s
