@@ -129,6 +129,11 @@ class _Drive:
         self._news: set[str] = set()
         """Quantities received since the last currents were made."""
         self._of = {n: k for k, rows in plan.sources.items() for n, _, _ in rows}
+        self._phases_of, self._voltages_of = plan.signals.phases, plan.signals.voltages
+        self._parts = {*self._phases_of, *self._voltages_of}
+        self._signals = {
+            k: {s.name: s for s in plan.codec.messages[k].signals} for k in plan.sources
+        }
 
     def memory(self) -> dict[str, Any]:
         """State that changes with the frames, as plain types."""
@@ -161,24 +166,25 @@ class _Drive:
         if silent:
             self._begun[index] = t_ns
         readings = codec.decode(spec, frame.data)
-        came = set()
+        came, signals = set(), self._signals[index]
         for name, column, source in self.plan.sources[index]:
             reading = readings[column]
             if reading.validity is Validity.ABSENT:
                 continue
             good = reading.validity is Validity.VALID and reading.raw not in source.not_available
-            good = good and not self._jumped_to_end(
-                name, spec.signals[spec.column(column)], reading
-            )
+            good = good and not self._jumped_to_end(name, signals[column], reading)
             good = good and t_ns - self._begun[index] >= source.settle_ms * MS
             self._held[name] = Held(_physical(reading.value, source) if good else None, t_ns)
             came.add(name)
         self._note_square(came, t_ns)
         self._news |= came
-        kinds = [kind for kind in self._specs if self._its_turn(kind, came, t_ns)]
-        if "PhaseCurrents" in kinds:
+        one = self._one_instant(came, t_ns)
+        due = [
+            k for k in self._specs if (one if k in _ELECTRICAL else self._its_turn(k, came, t_ns))
+        ]
+        if "PhaseCurrents" in due:
             self._news.clear()
-        return [self._make(kind, t_ns) for kind in kinds]
+        return [self._make(kind, t_ns) for kind in due]
 
     def _jumped_to_end(self, name: str, signal: SignalSpec, reading: Reading) -> bool:
         """Whether a temperature is at an end of its raw range, and was not near it before.
@@ -194,9 +200,7 @@ class _Drive:
         return last is None or abs(reading.value - last) > NEAR_END_K
 
     def _its_turn(self, kind: str, came: set[str], t_ns: Nanos) -> bool:
-        """Whether our message of a kind is due; `came`: the quantities of this frame."""
-        if kind in _ELECTRICAL:
-            return self._one_instant(came, t_ns)
+        """Whether our slow message of a kind is due; `came`: the quantities of this frame."""
         trigger = self.plan.trigger[kind]
         if trigger not in came:
             return False
@@ -208,13 +212,11 @@ class _Drive:
 
     def _one_instant(self, came: set[str], t_ns: Nanos) -> bool:
         """Whether this frame completes currents (and voltages, if mapped) of one instant."""
-        parts = {*self.plan.signals.phases, *self.plan.signals.voltages}
-        most = min(APART_NS, self._specs["PhaseCurrents"].cycle_ns // 2)
-        return (
-            not parts.isdisjoint(came)
-            and parts <= self._news
-            and all(t_ns - self._held[part].t_ns <= most for part in parts)
-        )
+        spec = self._specs.get("PhaseCurrents")
+        if spec is None or self._parts.isdisjoint(came) or not self._parts <= self._news:
+            return False
+        most = min(APART_NS, spec.cycle_ns // 2)
+        return all(t_ns - self._held[part].t_ns <= most for part in self._parts)
 
     def _make(self, kind: str, t_ns: Nanos) -> Frame:
         spec = self._specs[kind]
@@ -279,7 +281,7 @@ class _Drive:
         return None if iq is None else 1.5 * motor.pole_pairs * motor.psi_pm * iq
 
     def _phases(self, t_ns: Nanos) -> Phases:
-        names = self.plan.signals.phases
+        names = self._phases_of
         values = [self._get(name, t_ns) for name in names]
         if names[0] == "Ia":
             phases, is_derived = three_phases(values)
@@ -292,14 +294,13 @@ class _Drive:
         return alpha, -0.5 * alpha + 0.5 * _SQRT3 * beta, -0.5 * alpha - 0.5 * _SQRT3 * beta
 
     def _voltages(self, t_ns: Nanos) -> tuple[float | None, float | None]:
-        return _in_stator_frame([self._get(name, t_ns) for name in self.plan.signals.voltages])
+        return _in_stator_frame([self._get(name, t_ns) for name in self._voltages_of])
 
     def _note_square(self, came: set[str], t_ns: Nanos) -> None:
         """Keep squared currents for `Irms`, where the drive does not send it."""
-        signals = self.plan.signals
         if self._has("Irms") or "Status" not in self._specs:
             return
-        names = signals.phases or ("Id", "Iq")
+        names = self._phases_of or ("Id", "Iq")
         if names[0] not in came:
             return
         values = [self._get(name, t_ns) for name in names if name != "ElectricalAngle"]
