@@ -49,7 +49,8 @@ ELSEWHERE: Final = """\
 ## Where other parts act
 
 Parts whose rows equal the first one, or nearly, were removed in other runs, too: in a simulator of
-another author (`together`, `patch`, `n2_single`: all wheels, some, or one of two lose adhesion) and
+another author (`together`, `patch`, `n2_single`, `cutout`, `lock12`: all wheels, some, or one of two
+lose adhesion; a drive is cut out; twelve wheels lock in braking) and
 on [real wheels](../real_wheels.md). Changes are in percentage points, of the runs named.
 """
 
@@ -143,7 +144,7 @@ REMOVALS: Final = (
     Removal("drives that are held back after a regrip", RULES, LOSS,
             "p = held_back(a, k, p, bad, uncertain);", ";",
             "`together` and `patch`, 4 runs each: false 0.9 and 0.4 more."),
-    Removal("a train that rolls", RULES, LOSS, 
+    Removal("a train that rolls", RULES, LOSS,
             "if (asked ? rolls_along(a, k) : rolls(a, k)) {", "if (asked && rolls_along(a, k)) {"),
     Removal("a drive that is cut out and rolls along", RULES, LOSS,
             "if (asked ? rolls_along(a, k) : rolls(a, k)) {", "if (!asked && rolls(a, k)) {",
