@@ -48,10 +48,10 @@ ELSEWHERE: Final = """\
 
 ## Where other parts act
 
-Parts whose rows equal the first one, or nearly, were removed in other runs, too: in a simulator of
-another author (`together`, `patch`, `n2_single`, `cutout`, `lock12`: all wheels, some, or one of two
-lose adhesion; a drive is cut out; twelve wheels lock in braking) and
-on [real wheels](../real_wheels.md). Changes are in percentage points, of the runs named.
+Parts whose rows equal the first one, or nearly, were removed in other runs, too: in simulators of
+other authors (`together`, `patch`, `n2_single`: all wheels, some, or one of two lose adhesion;
+`cutout`, `lock12`: a drive is cut out, twelve wheels lock in braking) and on
+[real wheels](../real_wheels.md). Changes are in percentage points, of the runs named.
 """
 
 
