@@ -9,31 +9,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from _traction_core import ffi, lib
 
 from dbc.frame import FD
 from dbc.records import E2E_CONFIG, E2E_STATE, Records
-
-if TYPE_CHECKING:
-    from dbc.spec import MessageSpec
+from dbc.spec import MessageSpec, Profile
 
 MAX_DELTA: Final[int] = lib.E2E_MAX_DELTA
 """Largest counter step accepted between two frames: up to two frames may be lost in a row."""
 WINDOW: Final[int] = lib.E2E_WINDOW
 """Number of receiver cycles that the state machine evaluates."""
-
-
-class Profile(IntEnum):
-    """Protection of a message. The numbers are those of the DBC attribute `E2EProfile`."""
-
-    NONE = lib.E2E_PROFILE_NONE
-    P02 = lib.E2E_PROFILE_02
-    P05 = lib.E2E_PROFILE_05
-
-
 HEADER_BYTES: Final = {Profile.NONE: 0, Profile.P02: 2, Profile.P05: 3}
 COUNTERS: Final = {Profile.NONE: 1, Profile.P02: 16, Profile.P05: 256}
 """Number of counter values before the counter wraps to 0."""

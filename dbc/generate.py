@@ -11,10 +11,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from dbc.e2e import Profile, p02_data_ids
+from dbc.e2e import p02_data_ids
 from dbc.frame import MS
 from dbc.messages import DRIVES, GATEWAY, NOT_AVAILABLE, Entry, Field, messages
-from dbc.spec import MessageSpec, SignalSpec
+from dbc.spec import MessageSpec, Profile, SignalSpec
 
 HERE = Path(__file__).parent
 FILES = {"traction.dbc": False, "traction_fd.dbc": True}

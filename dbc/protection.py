@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from dbc.e2e import HEADER_BYTES, Profile, p02_data_ids
+from dbc.e2e import HEADER_BYTES, p02_data_ids
 from dbc.layout import bits_of
-from dbc.spec import SignalSpec
+from dbc.spec import Profile, SignalSpec
 
 if TYPE_CHECKING:
     from cantools.database import Database

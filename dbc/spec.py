@@ -11,7 +11,6 @@ from typing import Final, NamedTuple
 
 from _traction_core import lib
 
-from dbc.e2e import Profile
 from dbc.frame import Nanos
 from dbc.text import InputError, printable
 
@@ -41,6 +40,14 @@ class Validity(IntEnum):
     SATURATED = SATURATED
     ABSENT = ABSENT
     NOT_A_NUMBER = NOT_A_NUMBER
+
+
+class Profile(IntEnum):
+    """Protection of a message. The numbers are those of the DBC attribute `E2EProfile`."""
+
+    NONE = lib.E2E_PROFILE_NONE
+    P02 = lib.E2E_PROFILE_02
+    P05 = lib.E2E_PROFILE_05
 
 
 class Match(IntEnum):

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dbc.culprits import load_rest
-from dbc.e2e import Profile
 from dbc.entries import Entries
 from dbc.layout import bits_of
 from dbc.message_spec import is_long, message_spec
-from dbc.spec import DbcMismatch, MessageSpec
+from dbc.spec import DbcMismatch, MessageSpec, Profile
 from dbc.text import decoded, read_bytes
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dbc.codec import Codec
-from dbc.e2e import Profile, p02_data_ids
+from dbc.e2e import p02_data_ids
 from dbc.frame import MS, Nanos
-from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
+from dbc.spec import DbcMismatch, MessageSpec, Profile, SignalSpec
 from gateway.settings.config import Config, ConfigError, Motor
 from gateway.settings.sections import Drive
 from gateway.settings.signal_map import Signals, Source

@@ -10,9 +10,9 @@ from zlib import crc32
 
 import numpy as np
 
-from dbc.e2e import COUNTERS, MAX_DELTA, Check, Profile, Receiver, SmState, counter_of, protect
+from dbc.e2e import COUNTERS, MAX_DELTA, Check, Receiver, SmState, counter_of, protect
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from dbc.spec import Match
+from dbc.spec import Match, Profile
 from gateway.core.gateway import Gateway
 from gateway.core.inbox import OWN_CANOPEN
 from gateway.core.supervision import Supervision

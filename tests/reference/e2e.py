@@ -12,9 +12,8 @@ from typing import Final, NamedTuple
 from e2e.p02 import e2e_p02_check, e2e_p02_protect
 from e2e.p05 import e2e_p05_check, e2e_p05_protect
 
-from dbc.e2e import Profile
 from dbc.frame import Nanos
-from dbc.spec import MessageSpec
+from dbc.spec import MessageSpec, Profile
 
 MAX_DELTA: Final = 3
 """Counter steps accepted between two frames: up to two frames may be lost in a row."""

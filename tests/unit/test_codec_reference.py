@@ -11,8 +11,8 @@ from _traction_core import ffi, lib
 from dbc.codec import Codec, bind
 from dbc.codec_tables import CodecTables
 from dbc.contract import ANY
-from dbc.e2e import Profile, configs
-from dbc.spec import ABSENT, MessageSpec, SignalSpec, Validity
+from dbc.e2e import configs
+from dbc.spec import ABSENT, MessageSpec, Profile, SignalSpec, Validity
 from gateway.settings.config import shipped_dbc
 from tests.encode_loop import encode_rows, given_of
 from tests.reference import codec as reference

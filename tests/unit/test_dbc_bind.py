@@ -8,9 +8,9 @@ import pytest
 from dbc import generate as build
 from dbc.codec import bind
 from dbc.contract import ANY, CLASSIC, FD
-from dbc.e2e import Profile, p02_data_ids
+from dbc.e2e import p02_data_ids
 from dbc.load import load
-from dbc.spec import DbcMismatch
+from dbc.spec import DbcMismatch, Profile
 from tests.dbc_text import message, signal, without, write
 
 FOLDER = Path(build.__file__).parent

@@ -9,8 +9,7 @@ import pytest
 
 from dbc import spec
 from dbc.codec import Codec
-from dbc.e2e import Profile
-from dbc.spec import DbcMismatch, Match, MessageSpec, SignalSpec, Validity
+from dbc.spec import DbcMismatch, Match, MessageSpec, Profile, SignalSpec, Validity
 
 SIGNED = SignalSpec(
     "T", 0, 8, is_signed=True, scale=0.5, offset=-3.0, raw_min=-100, raw_max=90, not_available=-128

@@ -9,8 +9,9 @@ from _traction_core import ffi, lib
 
 from dbc import e2e
 from dbc.codec import bind
-from dbc.e2e import HEADER_BYTES, Check, Profile, SmState, configs, states
+from dbc.e2e import HEADER_BYTES, Check, SmState, configs, states
 from dbc.records import E2E_CONFIG, E2E_STATE, pointer
+from dbc.spec import Profile
 from gateway.settings.config import shipped_dbc
 from tests.reference import e2e as reference
 

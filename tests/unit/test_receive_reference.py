@@ -11,10 +11,10 @@ import pytest
 from _traction_core import ffi, lib
 
 from dbc.codec import Codec, bind
-from dbc.e2e import Profile
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from dbc.frames import block_of
 from dbc.records import SEQUENCE_GUARD
+from dbc.spec import Profile
 from gateway.core.channel import SHORTEST_STEP, USED, Kind, sequence_guards
 from gateway.core.codes import Reason
 from gateway.core.inbox import MAX_GAP_NS

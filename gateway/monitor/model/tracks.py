@@ -13,9 +13,9 @@ from typing import Final
 from _traction_core import ffi, lib
 
 from dbc.codec import Codec
-from dbc.e2e import COUNTERS, WINDOW, Check, Profile, Receiver, SmState, counter_of
+from dbc.e2e import COUNTERS, WINDOW, Check, Receiver, SmState, counter_of
 from dbc.frame import MS, Nanos
-from dbc.spec import VALID, Match, MessageSpec, Reading
+from dbc.spec import VALID, Match, MessageSpec, Profile, Reading
 from dbc.text import printable
 from gateway.core.channel import sequence_guards
 from gateway.core.inbox import USABLE
