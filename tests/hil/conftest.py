@@ -18,7 +18,7 @@ import pytest
 
 from gateway.hil.vcan.job import Job
 from gateway.hil.vcan.ways import way
-from tests.hil.inside import STALLS, environment
+from tests.hil.inside import environment
 from tests.hil.stable import Stable
 
 SILENCE_S = 1300.0
@@ -28,8 +28,10 @@ INNER_TIMEOUT_S = 1200
 LONG = 10
 """Both are so many times longer where the campaign runs in full."""
 OWN_CLOCK = "the wall clock is set only where it is not the machine's own"
-MAY_BE_SKIPPED = (OWN_CLOCK, STALLS)
-"""Reasons for which a test may be skipped where SocketCAN is required."""
+MAY_BE_SKIPPED = (OWN_CLOCK,)
+"""Reasons for which a test may be skipped where SocketCAN is required.
+
+That the machine stalled in every attempt is none: what is not proved has failed there."""
 
 
 class Inside:
