@@ -114,8 +114,8 @@ def examine(options: argparse.Namespace) -> Problems:
         f"message set    {printable(codec.path.name)}: "
         f"{len(codec.messages)} messages fit the contract"
     )
-    for plan in planned:
-        print("\n".join(signal_lines(plan)))
+    for line in signal_lines(planned):
+        print(line)
     percent = bus_load(codec, config, planned)
     verdict = "good" if percent <= LOAD_LIMIT_PERCENT else "too much"
     print(f"bus load       {percent:.0f} % with worst-case stuffing, {verdict}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 
 from gateway.core.motion import FEWEST_SAMPLES
 from gateway.mapping import lacks
@@ -10,11 +11,22 @@ from gateway.mapping.plan import Plan, given, raw_ends
 from gateway.settings.signal_map import UNITS
 
 
-def signal_lines(plan: Plan) -> list[str]:
-    """Lines of one drive; the first begins with its name."""
-    first = f"drive {plan.node}"
-    lines = [*_sources(plan), *_limits(plan), *_codes(plan)]
-    return [f"{first if k == 0 else '':<14} {line}" for k, line in enumerate(lines)]
+def signal_lines(planned: Sequence[Plan]) -> list[str]:
+    """Lines of all drives of other makers; those with the same signals share theirs."""
+    alike: dict[tuple[str, ...], list[Plan]] = {}
+    for plan in planned:
+        alike.setdefault((*_sources(plan), *_limits(plan), *_codes(plan)), []).append(plan)
+    lines = []
+    for shared, plans in alike.items():
+        nodes = [plan.node for plan in plans]
+        in_a_row = len(nodes) > 2 and nodes == list(range(nodes[0], nodes[-1] + 1))
+        which = f"{nodes[0]}-{nodes[-1]}" if in_a_row else ", ".join(map(str, nodes))
+        whose = f"drive{'s' * (len(nodes) > 1)} {which}"
+        offsets = ", ".join(f"{plan.signals.id_offset:#x}" for plan in plans)
+        first = f"{plans[0].signals.dbc}, identifiers moved by {offsets}"
+        lines.append(f"{whose:<14} {first}")
+        lines += [f"{'':<14} {line}" for line in shared]
+    return lines
 
 
 def _sources(plan: Plan) -> Iterator[str]:
@@ -22,7 +34,6 @@ def _sources(plan: Plan) -> Iterator[str]:
         "PhaseCurrents": "currents", "StatorVoltages": "voltages", "Motion": "motion",
         "Status": "torque, RMS current", "Temperatures": "temperatures",
     }  # fmt: skip
-    yield f"{plan.signals.dbc}, identifiers moved by {plan.signals.id_offset:#x}"
     for kind, parts in given(plan.signals).items():
         cycle_ms = plan.spec[kind].cycle_ns / 1e6
         yield f"{names[kind]} from {', '.join(parts)}, every {cycle_ms:g} ms"
@@ -30,6 +41,7 @@ def _sources(plan: Plan) -> Iterator[str]:
 
 def _codes(plan: Plan) -> Iterator[str]:
     """Lines for ends of raw ranges that may mean "no value" but are not declared as such."""
+    alike: dict[tuple[str, tuple[int, ...]], list[str]] = {}
     for spec in plan.codec.messages:
         for name, column, source in plan.sources[spec.index]:
             signal = spec.signals[spec.column(column)]
@@ -45,11 +57,15 @@ def _codes(plan: Plan) -> Iterator[str]:
                 f"{raw} ({source.scale * (signal.scale * raw + signal.offset) + source.offset:g})"
                 for raw in ends
             )
-            listed = ", ".join(map(str, ends))
-            yield (
-                f"{name}: raw {codes} may mean that there is no value; if so: "
-                f'{name} = {{ signal = "{source.signal}", not_available = [{listed}] }}'
-            )
+            alike.setdefault((codes, ends), []).append(name)
+    for (codes, ends), names in alike.items():
+        source = plan.signals.use[names[0]].model_copy(update={"not_available": ends})
+        keys = source.model_dump(exclude_defaults=True).items()
+        entry = ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys)
+        yield (
+            f"{', '.join(names)}: raw {codes} may mean that there is no value; if so: "
+            f"{names[0]} = {{ {entry} }}"
+        )
 
 
 def _limits(plan: Plan) -> Iterator[str]:

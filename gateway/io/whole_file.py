@@ -6,7 +6,7 @@ import csv
 import errno
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from shutil import rmtree
 from typing import Final
@@ -47,8 +47,10 @@ def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
 def whole_folder(folder: Path) -> Iterator[Path]:
     """Yield a folder to write to, whose files are moved into `folder` at the end. Raises OSError.
 
-    After an exception or a signal none of them is left. `folder` may have other files.
+    After an exception or a signal none of them is left, nor a folder made for them.
+    `folder` may have other files.
     """
+    is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     part = folder / f"{PART}-{os.getpid()}"
     part.mkdir(exist_ok=True)
@@ -60,6 +62,9 @@ def whole_folder(folder: Path) -> Iterator[Path]:
             path.replace(target)
     finally:
         rmtree(part, ignore_errors=True)
+        if is_new:
+            with suppress(OSError):  # it has files
+                folder.rmdir()
 
 
 @contextmanager

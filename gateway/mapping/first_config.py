@@ -135,6 +135,7 @@ def _cycles(shared: Shared) -> list[str]:
 
 def _signals(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
     lines = []
+    taken = {_of_any_drive(guess) for guess in shared.chosen}
     for quantity, guesses in shared.found.items():
         best = next((g for g in shared.chosen if g.quantity == quantity), None)
         if best is None:
@@ -142,15 +143,15 @@ def _signals(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
         unit = best.signal.unit.strip() or f"the file has no unit: {UNITS[quantity]}?"
         sign = "" if quantity in use else "# "
         lines.append(f"{sign}{quantity} = {_value(best)}    # {printed(unit)}")
-        names = [g.name for g in guesses if g.name != best.name and not _other_node(g, best)]
+        names = [g.name for g in guesses if _of_any_drive(g) not in taken]
         if names[:_OTHERS]:
             lines.append(f"#   or {', '.join(names[:_OTHERS])}")
     return lines
 
 
-def _other_node(guess: Guess, best: Guess) -> bool:
-    """Whether a guess is the same signal of another drive: the names differ in numbers only."""
-    return re.sub(r"\d+", "#", guess.name) == re.sub(r"\d+", "#", best.name)
+def _of_any_drive(guess: Guess) -> str:
+    """Name without its numbers, in which the same signals of different drives differ."""
+    return re.sub(r"\d+", "#", guess.name)
 
 
 def _value(guess: Guess) -> str:

@@ -145,6 +145,8 @@ def candidates(specs: Sequence[MessageSpec]) -> dict[str, list[Guess]]:
 
 
 def _of_signal(spec: MessageSpec, signal: SignalSpec) -> Iterator[Guess]:
+    if any(signal.name == other.mux_parent for other in spec.signals):
+        return
     own, all_words = words(signal.name), words(f"{spec.name} {signal.name}")
     for quantity, rule in RULES.items():
         named = re.search(rule.needs, own)

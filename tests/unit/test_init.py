@@ -179,6 +179,23 @@ def test_the_step_is_found_where_the_dbc_has_all_drives(tmp_path, capsys):
     first, second = (drive.signals for drive in load(tmp_path / "t.toml").drive)
     assert (first.id_offset, second.id_offset) == (0, 0x10)
     assert first.use["Speed"].signal == "Motor1.MotorSpeed"
+    printed = capsys.readouterr().out
+    assert "drives 1, 2    m.dbc, identifiers moved by 0x0, 0x10\n" in printed
+    assert printed.count("temperatures from Tstator") == 1, "what drives share is printed once"
+
+
+def test_neither_a_multiplexer_nor_a_signal_in_use_is_proposed(tmp_path, capsys):
+    messages = {
+        "I1_Cur": (0x600, 2, [f'Ph{x} : {16 * k}|16@1- (0.1,0) [0|0] "A"'
+                              for k, x in enumerate("UVW")]),
+        "I1_Temps": (0x601, 100, ['Mux M : 0|8@1+ (1,0) [0|0] ""',
+                                  'TempStator m0 : 8|16@1- (0.1,0) [0|0] "C"',
+                                  'TempMotor m1 : 8|16@1- (0.1,0) [0|0] "C"']),
+    }  # fmt: skip
+    write_dbc(tmp_path / "m.dbc", messages)
+    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+    others = [x for x in (tmp_path / "t.toml").read_text().splitlines() if x.startswith("#   or")]
+    assert others == ["#   or I1_Temps.TempMotor"]
 
 
 def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):

@@ -116,6 +116,18 @@ def test_files_of_a_folder_appear_together(tmp_path):
     assert found == {"in", "in/a.csv", "b.csv"}
 
 
+@pytest.mark.parametrize("older", [False, True])
+def test_a_folder_made_for_nothing_is_not_left(tmp_path, older):
+    folder = tmp_path / "out"
+    if older:
+        folder.mkdir()
+    with pytest.raises(KeyboardInterrupt), whole_folder(folder) as part:
+        (part / "b.csv").write_text("2")
+        raise KeyboardInterrupt
+    assert folder.exists() == older
+    assert not list(tmp_path.rglob("b.csv"))
+
+
 def test_a_replay_names_the_clock_of_its_times(tmp_path, log, capsys):
     assert main(["replay", log, "--results", str(tmp_path / "r")]) == 0
     out = capsys.readouterr().out

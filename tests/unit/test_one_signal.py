@@ -97,11 +97,13 @@ def test_check_proposes_codes_where_nothing_says_them(tmp_path, capsys):
     temperatures(tmp_path, [100])
     text = '[[drive]]\nnode = 1\n[drive.signals]\ndbc = "one.dbc"\n[drive.signals.use]\n'
     path = tmp_path / "train.toml"
-    path.write_text(text + 'Tstator = "Tmp.Motor"\nTde = "Tmp.Bearing"\n')
+    motor = '{ signal = "Tmp.Motor", scale = 0.5 }'
+    path.write_text(text + f'Tstator = {motor}\nTde = "Tmp.Bearing"\nTnde = "Tmp.Bearing"\n')
     main(["check", str(path), "--no-timing"])
     printed = capsys.readouterr().out
-    assert "Tstator: raw 0 (-40), 255 (215) may mean that there is no value" in printed
-    named = '{ signal = "Tmp.Motor", not_available = [0, 255] }'
+    assert "Tstator: raw 0 (-20), 255 (107.5) may mean that there is no value" in printed
+    assert "Tde, Tnde: raw 0 (-40), 255 (215) may mean that there is no value" in printed
+    named = '{ signal = "Tmp.Motor", scale = 0.5, not_available = [0, 255] }'
     assert f"Tstator = {named}" in printed
     path.write_text(text + f'Tstator = {named}\nTde = "Tmp.Bearing"\n')
     main(["check", str(path), "--no-timing"])
