@@ -19,11 +19,13 @@ from dbc.spec import MessageSpec
 from gateway.commands.common import pattern_of
 from gateway.commands.progress import Progress
 from gateway.io.log_file import NO_FRAME, BadLogError, OneChannel
-from gateway.mapping import command_fit, fit, rating_fit
+from gateway.mapping import command_fit, fit, rating_fit, temperature_fit
 from gateway.mapping.bus_fit import Traffic
 from gateway.mapping.plan import NO_MESSAGE, fitted, plans
 from gateway.mapping.translate import Translator
 from gateway.settings.config import Config
+from gateway.settings.sections import Drive
+from gateway.settings.signal_map import SENSORS
 
 LOOKED_AT_S: Final = 60.0
 SUB_SAMPLES: Final = 8
@@ -54,6 +56,7 @@ def print_findings(
         measured, motor = values.of_drive(drive.node), motors[drive.node]
         lines += rating_fit.findings(measured, motor, drive.motor)
         lines += absent or fit.findings(measured, motor)
+        lines += temperature_fit.findings(values.temperatures(drive))
         lines += command_fit.repeats_torque(one)
         lines += [alone[drive.node]] if drive.node in alone else []
         problems += _print(f"drive {drive.node}", lines)
@@ -190,6 +193,14 @@ class _Values:
             t, current, phase_sum, voltage, motion.get("t", none)[good], speed[good], torque[good],
             status.get("t", none)[np.isfinite(irms)], irms[np.isfinite(irms)],
         )  # fmt: skip
+
+    def temperatures(self, drive: Drive) -> Columns:
+        """Temperatures of one drive's sensors and of the air, degC; none where the log has none."""
+        _, columns = self._columns(drive.node, "Temperatures")
+        sent = ["Tambient", *(name for name, sensor in SENSORS.items() if sensor in drive.sensors)]
+        if drive.signals is not None:
+            sent = [name for name in sent if name in drive.signals.use]
+        return {name: columns[name] for name in sent if name in columns}
 
     def commanded(self, node: int, rated_nm: float) -> command_fit.Commanded:
         """Torque commands of one drive with its torque; empty where the log has none."""

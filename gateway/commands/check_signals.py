@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from gateway.core.motion import FEWEST_SAMPLES
 from gateway.mapping import lacks
 from gateway.mapping.plan import Plan, given, raw_ends
-from gateway.settings.signal_map import UNITS
+from gateway.settings.signal_map import UNITS, Source
 
 
 def signal_lines(planned: Sequence[Plan]) -> list[str]:
@@ -41,7 +41,7 @@ def _sources(plan: Plan) -> Iterator[str]:
 
 def _codes(plan: Plan) -> Iterator[str]:
     """Lines for ends of raw ranges that may mean "no value" but are not declared as such."""
-    alike: dict[tuple[str, tuple[int, ...]], list[str]] = {}
+    alike: dict[tuple[str, tuple[int, ...]], list[tuple[str, Source]]] = {}
     for spec in plan.codec.messages:
         for name, column, source in plan.sources[spec.index]:
             signal = spec.signals[spec.column(column)]
@@ -57,14 +57,14 @@ def _codes(plan: Plan) -> Iterator[str]:
                 f"{raw} ({source.scale * (signal.scale * raw + signal.offset) + source.offset:g})"
                 for raw in ends
             )
-            alike.setdefault((codes, ends), []).append(name)
-    for (codes, ends), names in alike.items():
-        source = plan.signals.use[names[0]].model_copy(update={"not_available": ends})
-        keys = source.model_dump(exclude_defaults=True).items()
-        entry = ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys)
+            alike.setdefault((codes, ends), []).append((name, source))
+    for (codes, ends), sources in alike.items():
+        name, source = sources[0]
+        new = source.model_copy(update={"not_available": ends}).model_dump(exclude_defaults=True)
+        entry = ", ".join(f"{key} = {json.dumps(value)}" for key, value in new.items())
         yield (
-            f"{', '.join(names)}: raw {codes} may mean that there is no value; if so: "
-            f"{names[0]} = {{ {entry} }}"
+            f"{', '.join(name for name, _ in sources)}: raw {codes} may mean that there is no "
+            f"value; if so: {name} = {{ {entry} }}"
         )
 
 

@@ -10,9 +10,8 @@ from typing import Final, NamedTuple
 from gateway.mapping.bus_fit import Cycle
 from gateway.mapping.guess import SURE, Guess
 from gateway.mapping.plan import given
-from gateway.settings.signal_map import UNITS, Signals, Source
+from gateway.settings.signal_map import SENSORS, UNITS, Signals, Source
 
-_SENSORS: Final = {"Tstator": "stator", "Tde": "drive_end", "Tnde": "non_drive_end"}
 _OTHERS: Final = 3
 GUESSED_MS: Final = 10.0
 _MOTOR: Final = """
@@ -70,7 +69,7 @@ def mapped(drives: int, shared: Shared) -> str:
     ]
     if not _can_model(use):
         lines += _without_model(drives)
-    sensors = [name for quantity, name in _SENSORS.items() if quantity in use]
+    sensors = [name for quantity, name in SENSORS.items() if quantity in use]
     for number in range(drives):
         lines += ["[[drive]]", f"node = {number + 1}", f'inverter = "{shared.name}"']
         offset = shared.offset + shared.step * number

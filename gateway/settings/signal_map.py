@@ -32,7 +32,8 @@ CURRENTS: Final = (("Ia", "Ib"), ("Ialpha", "Ibeta"), ("Id", "Iq"))
 VOLTAGES: Final = (("Ualpha", "Ubeta"), ("Ud", "Uq"))
 """Alternative forms of one vector; a configuration maps exactly one, with all its parts."""
 
-
+SENSORS: Final = {"Tstator": "stator", "Tde": "drive_end", "Tnde": "non_drive_end"}
+"""Names of temperature sensors in a configuration, by signal."""
 LEAST_SCALE: Final = 1e-9
 Raw = Annotated[int, within(-(2**63), 2**64 - 1, "", "give the raw value, before scale and offset")]
 

@@ -6,6 +6,7 @@ import pytest
 from dbc.e2e import counter_of, protect
 from dbc.frame import Frame
 from gateway.cli import main
+from gateway.mapping import temperature_fit
 from gateway.mapping.fit import Measured, findings
 from gateway.settings.config import shipped_dbc
 from gateway.settings.motors import BENCH_MOTOR
@@ -41,9 +42,9 @@ def test_what_is_right_fits(tmp_path, frames, capsys):
     log = log_of(tmp_path / "d.log", frames)
     code, lines = check(tmp_path, "[[drive]]\nnode = 1\n[[drive]]\nnode = 2\n", log, capsys)
     assert code == 0
-    assert len(lines) == 10
+    assert len(lines) == 12
     assert all("fits: " in line for line in lines)
-    assert lines[5].startswith("drive 2 ")
+    assert lines[6].startswith("drive 2 ")
 
 
 @pytest.mark.parametrize(("changes", "said"), [
@@ -215,3 +216,25 @@ def test_signals_that_do_not_agree_say_nothing():
     found = findings(data, BENCH_MOTOR)
     assert len(found) == 2
     assert all(one.fits is None for one in found)
+
+
+@pytest.mark.parametrize(("values", "fits", "cause"), [
+    ({"Tambient": [20.0], "Tstator": [80.0, 82.0]}, True, "Tambient 20, Tstator 81 degC"),
+    ({"Tstator": [210.0]}, True, "possible"),
+    ({"Tambient": [293.0], "Tstator": [350.0]}, False, "K instead of degC (offset = -273.15)"),
+    ({"Tstator": [350.0]}, False, "K instead of degC (offset = -273.15) or degF instead of degC"),
+    ({"Tambient": [68.0], "Tstator": [176.0]}, False, "impossible: degF instead of degC"),
+    ({"Tambient": [250.0], "Tstator": [20.0]}, False, "a wrong unit, scale or offset"),
+    ({"Tambient": [22.0], "Tstator": [-15.0]}, None, "colder than the air"),
+    ({"Tde": [np.nan, np.nan]}, None, "Tde: no value in the log"),
+])  # fmt: skip
+def test_temperatures_in_another_unit_are_named(values, fits, cause):
+    (found,) = temperature_fit.findings({name: np.array(x) for name, x in values.items()})
+    assert found.fits is fits
+    assert cause in found.text
+
+
+def test_a_drive_that_sends_no_temperature_has_no_finding_of_them():
+    assert temperature_fit.findings({}) == []
+    (missing, rest) = temperature_fit.findings({"Tde": np.array([np.nan]), "Tnde": np.ones(3)})
+    assert (missing.fits, rest.fits) == (None, True)

@@ -121,9 +121,14 @@ def test_a_folder_made_for_nothing_is_not_left(tmp_path, older):
     folder = tmp_path / "out"
     if older:
         folder.mkdir()
-    with pytest.raises(KeyboardInterrupt), whole_folder(folder) as part:
-        (part / "b.csv").write_text("2")
-        raise KeyboardInterrupt
+
+    def interrupted():
+        with whole_folder(folder) as part:
+            (part / "b.csv").write_text("2")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert folder.exists() == older
     assert not list(tmp_path.rglob("b.csv"))
 
