@@ -106,7 +106,7 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     """
     # The fleet reports the result of each log itself; `-v` shows Dask's own messages.
     level = logging.INFO if log.isEnabledFor(logging.INFO) else logging.CRITICAL
-    for name in ("distributed", "distributed.client"):
+    for name in ("distributed", "distributed.client", "asyncio"):
         logging.getLogger(name).setLevel(level)
     with ExitStack() as stack:
         if scheduler is None:
