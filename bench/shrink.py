@@ -92,16 +92,11 @@ def among(folder: Path) -> Iterator[Case]:
 def drawn(case: Case, number: int) -> Wanted | None:
     """One change of a flag, a loss or a fault if there is one; None: no flag ever changes."""
     noted = Changes()
-
-    def changed(gateway: Gateway) -> None:
-        assert gateway.view is not None
-        noted.add(gateway.view)
-
     codec = bind(case.config.dbc_path, case.config.nodes)
     done = replay(
         OneChannel(open_log(case.path, strict=False).blocks, case.channel),
         lambda start: Gateway(case.config, codec, start),
-        case.config.loop.period_ns, Briefly(lambda _out: None, changed),
+        case.config.loop.period_ns, Briefly(lambda _out: None, noted.follow),
     )  # fmt: skip
     later = [change for change in noted.changes if change[0] > done.first_ns]
     bad = [change for change in later if change[3] in BAD] or later

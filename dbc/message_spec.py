@@ -90,15 +90,24 @@ def message_spec(
     )
 
 
+def chain_end(name: str, parents: Mapping[str, str | None]) -> str | None:
+    """Selector at which a signal's chain breaks: one that is missing or comes twice; else None.
+
+    parents: of each signal, the selector that multiplexes it, or None.
+    """
+    at, seen = parents[name], {name}
+    while at is not None and at in parents and at not in seen:
+        seen.add(at)
+        at = parents[at]
+    return at
+
+
 def _selectors(name: str, signals: Sequence[SignalSpec]) -> Iterator[str]:
     """Yield signals whose chain of selectors leaves the message or ends in a loop."""
     parents = {signal.name: signal.mux_parent for signal in signals}
     for signal in signals:
-        at, seen = signal.mux_parent, {signal.name}
-        while at in parents and at not in seen:
-            seen.add(at)
-            at = parents[at]
-        if at in seen:
+        at = chain_end(signal.name, parents)
+        if at in parents:
             yield f"{name}.{signal.name}: is multiplexed by itself"
         elif at is not None:
             yield f"{name}.{signal.name}: is multiplexed by {at}, which the message does not have"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import errno
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -41,6 +42,14 @@ def printable(text: str, most: int = MOST) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def number_or_nan(text: str) -> float:
+    """The number in a text, or NaN, which no range of numbers includes."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def without_colours(text: str) -> str:

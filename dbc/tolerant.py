@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from dbc.culprits import load_rest
 from dbc.entries import Entries
 from dbc.layout import bits_of
-from dbc.message_spec import is_long, message_spec
+from dbc.message_spec import chain_end, is_long, message_spec
 from dbc.spec import DbcMismatch, MessageSpec, Profile
 from dbc.text import decoded, read_bytes
 
@@ -121,7 +121,7 @@ def _usable(
     while True:
         kept = [signal for signal in spec.signals if signal.name not in reasons]
         parents = {signal.name: signal.mux_parent for signal in kept}
-        lost = {name: parent for name, parent in parents.items() if _hangs(name, parents)}
+        lost = {name: parent for name, parent in parents.items() if chain_end(name, parents)}
         if not lost:
             break
         reasons |= {name: f"is multiplexed by {parent}" for name, parent in lost.items()}
@@ -129,18 +129,6 @@ def _usable(
                 if name not in listed]  # fmt: skip
     # The dropped signals may include the E2E header; a foreign file is not checked anyway.
     return replace(spec, signals=tuple(kept), profile=Profile.NONE, data_ids=b""), problems
-
-
-def _hangs(name: str, parents: dict[str, str | None]) -> bool:
-    """Whether the signal's chain of selectors is broken or is a loop."""
-    seen = {name}
-    at = parents[name]
-    while at is not None:
-        if at not in parents or at in seen:
-            return True
-        seen.add(at)
-        at = parents[at]
-    return False
 
 
 def _named(specs: list[MessageSpec]) -> tuple[list[MessageSpec], list[str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,7 +54,6 @@ def run(options: argparse.Namespace) -> int:
         return _adhesion(options)
     from gateway.core.thermal import NO_MODEL
     from gateway.io.extras import pictures
-    from gateway.io.log_file import BadLogError, OneChannel, open_log
     from gateway.io.whole_file import write_text
     from gateway.settings.calibration import promise_lines, to_toml
     from gateway.study import calibration_fit
@@ -68,19 +67,7 @@ def run(options: argparse.Namespace) -> int:
     config = config.model_copy(update={"thermal": thermal})
     rate = config.thermal.false_alarms_per_1000_h
     learner = Learner(config.nodes, config.thermal.window_s, promises=rate is not None)
-    dropped: Counter[str] = Counter()
-    used = 0
-    for log in options.log:
-        opened = open_log(log, strict=False)
-        learner.begin()
-        try:
-            frames = OneChannel(track_file(opened, log, log.name), options.log_channel)
-            done = _learn(frames, config, codec, learner)
-            dropped.update(time_back=done.dropped, **faults(opened.reader))
-            used += done.frames - done.dropped
-        except BadLogError as error:
-            text = str(error)
-            raise BadLogError(text if str(log) in text else f"{log}: {text}") from None
+    dropped, used = _each_log(options, lambda blocks: _learn(blocks, config, codec, learner))
     with Progress("limits and thermal models"):
         result = learner.finish(MARGIN)
     if result.heat is None and config.thermal.method == "model" and not options.without_model:
@@ -107,6 +94,26 @@ def run(options: argparse.Namespace) -> int:
     return verdict_of_input(dropped, used)
 
 
+def _each_log(
+    options: argparse.Namespace, read: Callable[[Iterable[Block]], Replayed]
+) -> tuple[Counter[str], int]:
+    """Read every log; return how many frames were left out, by cause, and how many were used."""
+    from gateway.io.log_file import BadLogError, OneChannel, open_log
+
+    dropped: Counter[str] = Counter()
+    used = 0
+    for log in options.log:
+        opened = open_log(log, strict=False)
+        try:
+            done = read(OneChannel(track_file(opened, log, log.name), options.log_channel))
+        except BadLogError as error:
+            text = str(error)
+            raise BadLogError(text if str(log) in text else f"{log}: {text}") from None
+        dropped.update(time_back=done.dropped, **faults(opened.reader))
+        used += done.frames - done.dropped
+    return dropped, used
+
+
 def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> Replayed:
     """Feed one log's temperatures, as the gateway receives them, into the learner."""
     from gateway.core.gateway import Gateway
@@ -121,6 +128,7 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
     def new_gateway(start: int) -> TemperatureReader:
         return TemperatureReader(config, codec, start)
 
+    learner.begin()
     done = replay(blocks, new_gateway, config.loop.period_ns, Briefly(lambda _frames: None, add))
     add(done.gateway)
     return done
@@ -132,7 +140,6 @@ def _adhesion(options: argparse.Namespace) -> int:
     Raises ConfigError if the logs have no whole minute.
     """
     from gateway.core.gateway import Gateway
-    from gateway.io.log_file import OneChannel, open_log
     from gateway.io.replay import Briefly, replay
     from gateway.settings.sections import Adhesion
     from gateway.study.fault_free import Evidence, at_once, largest
@@ -144,16 +151,13 @@ def _adhesion(options: argparse.Namespace) -> int:
         evidence.begin_log(start)
         return Gateway(config, codec, start)
 
-    dropped: Counter[str] = Counter()
-    used = 0
-    for log in options.log:
-        opened = open_log(log, strict=False)
-        frames = OneChannel(track_file(opened, log, log.name), options.log_channel)
+    def follow(blocks: Iterable[Block]) -> Replayed:
         sink = Briefly(lambda _frames: None, evidence.follow_flags)
-        done = replay(frames, gateway, config.loop.period_ns, sink)
+        done = replay(blocks, gateway, config.loop.period_ns, sink)
         evidence.end_log(done.gateway.now_ns)
-        dropped.update(time_back=done.dropped, **faults(opened.reader))
-        used += done.frames - done.dropped
+        return done
+
+    dropped, used = _each_log(options, follow)
     longest = evidence.longest_ms
     if not len(longest):
         raise ConfigError("calibrate --adhesion", ["the logs have less than a minute together"])

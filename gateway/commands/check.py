@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from dbc.text import printable
+from dbc.text import number_or_nan, printable
 from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_line, add_signature
 from gateway.io import quick_start
 from gateway.io.console import note
@@ -52,10 +52,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _rpm(text: str) -> float:
-    try:
-        rpm = float(text)
-    except ValueError:
-        rpm = 0.0
+    rpm = number_or_nan(text)
     if not 1.0 <= rpm <= 1e5:
         raise argparse.ArgumentTypeError(f"{text!r} is not a speed of 1 to 100000 rpm")
     return rpm

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dbc.candump.grammar import Verdict
-from dbc.text import printable
+from dbc.text import number_or_nan, printable
 from gateway.io.console import console, note
 from gateway.settings.config import ConfigError
 
@@ -27,10 +26,7 @@ ENTRIES_SHOWN: Final = 50
 
 def positive_seconds(text: str) -> float:
     """Parse a duration in seconds. Raises ArgumentTypeError unless positive and below 1e7."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = math.nan
+    seconds = number_or_nan(text)
     if not 0.0 < seconds < 1e7:
         raise argparse.ArgumentTypeError(f"{text!r} is not a duration in seconds")
     return seconds

@@ -118,11 +118,7 @@ def _replay(options: argparse.Namespace, results: ExitStack) -> int:
         if writer is not None:
             writer.write_block(out, blocks.name or "")
 
-    def changed(gateway: Gateway) -> None:
-        assert gateway.view is not None
-        noted.add(gateway.view)
-
-    sink = Briefly(write, changed, left)
+    sink = Briefly(write, noted.follow, left)
     began = time.perf_counter()
     with ExitStack() as stack:
         if left is not None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dbc.text import number_or_nan
 from gateway.commands.common import GOOD, add_config, positive_seconds, shown
 from gateway.commands.progress import Progress, stepped
 from gateway.io import quick_start
@@ -43,10 +43,7 @@ def wanted(text: str) -> Wanted:
     from gateway.logfiles.shrink import Wanted
 
     found = re.fullmatch(r"(adhesion|thermal):(\d{1,3})@(\S+)", text)
-    try:
-        at_s = float(found[3]) if found else math.nan
-    except ValueError:
-        at_s = math.nan
+    at_s = number_or_nan(found[3] if found else "")
     if found is None or not 0.0 <= at_s < 1e9:
         msg = f"{text!r} is not KIND:DRIVE@SECONDS, such as adhesion:2@41.3 or thermal:1@600"
         raise argparse.ArgumentTypeError(msg)

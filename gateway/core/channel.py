@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -42,25 +41,15 @@ USED: Final = {
 }
 
 
-class Kind(IntEnum):
-    """What a channel carries; the first three become samples."""
-
-    CURRENTS = lib.KIND_CURRENTS
-    VOLTAGES = lib.KIND_VOLTAGES
-    BLOCK = lib.KIND_BLOCK
-    MOTION = lib.KIND_MOTION
-    TEMPERATURES = lib.KIND_TEMPERATURES
-    STATUS = lib.KIND_STATUS
-
-
 _KINDS: Final = {
-    "PhaseCurrents": Kind.CURRENTS,
-    "StatorVoltages": Kind.VOLTAGES,
-    "Samples": Kind.BLOCK,
-    "Motion": Kind.MOTION,
-    "Temperatures": Kind.TEMPERATURES,
-    "Status": Kind.STATUS,
+    "PhaseCurrents": lib.KIND_CURRENTS,
+    "StatorVoltages": lib.KIND_VOLTAGES,
+    "Samples": lib.KIND_BLOCK,
+    "Motion": lib.KIND_MOTION,
+    "Temperatures": lib.KIND_TEMPERATURES,
+    "Status": lib.KIND_STATUS,
 }
+"""What a channel carries; the first three become samples."""
 
 
 class Channel:
@@ -71,8 +60,11 @@ class Channel:
         "spec", "steps",
     )  # fmt: skip
 
-    def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
-        """drive: position in the configuration; the age limit is three periods and a tick."""
+    def __init__(self, spec: MessageSpec, drive: int, row: int, tick_ns: Nanos) -> None:
+        """drive: position in the configuration; row: of its record.
+
+        The age limit is three periods and a tick.
+        """
         columns = {signal.name: k for k, signal in enumerate(spec.signals)}
         self.spec = spec
         self.drive = drive
@@ -83,9 +75,6 @@ class Channel:
         self.steps = max(1, round(spec.cycle_ns / SAMPLE_NS))
         self.quality = columns.get("Quality", -1)
         self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
-
-    def seat(self, row: int) -> None:
-        """Note the row of its record."""
         self.row = row
 
 

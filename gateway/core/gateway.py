@@ -43,7 +43,7 @@ from gateway.core.motion import MotionMonitor, Timebase
 from gateway.core.supervision import Supervision
 from gateway.core.thermal import TemperatureMonitor
 from gateway.core.transmit import Outbox
-from gateway.core.view import Counted, GatewayView, drives_of, view_of
+from gateway.core.view import GatewayView, drives_of, view_of
 from gateway.mapping import lacks
 from gateway.mapping import plan as foreign
 from gateway.mapping.translate import Translator
@@ -295,7 +295,14 @@ class Gateway(Addressed):
             opinion = self.adhesion.opinion
             common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
             drives = drives_of(self.status, self.nodes, self.thermal.wear)
-            self._view = view_of(self._now, self.status, drives, common, self.counted(self._now))
+            counts, (latency, lateness) = self.inbox.counts, self.outbox.timing
+            self._view = view_of(
+                self._now, self.status, drives, common,
+                deadline_misses=self.integrity.deadline_misses,
+                rejected=sum(counts[cause] for cause in REJECTED), lost=counts["lost"],
+                bus_load_percent=self.load.percent(self._now), latency_p99_us=latency,
+                lateness_p99_us=lateness,
+            )  # fmt: skip
         return self._view
 
     @property
@@ -323,14 +330,6 @@ class Gateway(Addressed):
         names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")
         wanted = {self.outbox.specs[name].can_id for name in names} | {self.outbox.auth.can_id}
         return [f for f in self.outbox.due(unknown, now) if f.can_id in wanted]
-
-    def counted(self, now: Nanos) -> Counted:
-        """Counters that the frames of a tick at `now` contain."""
-        counts = self.inbox.counts
-        return Counted(
-            self.integrity.deadline_misses, sum(counts[c] for c in REJECTED), counts["lost"],
-            self.load.percent(now), *self.outbox.timing,
-        )  # fmt: skip
 
 
 def _thermal(

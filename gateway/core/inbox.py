@@ -79,16 +79,14 @@ class Inbox:
             for kind in (*ELECTRICAL, SAMPLES, *SLOW):
                 spec = codec.by_name.get(f"Drive{drive.node}_{kind}")
                 if spec is not None:
-                    one = Channel(spec, index, tick_ns)
+                    one = Channel(spec, index, len(self.channels), tick_ns)
                     drive.channels[kind] = one
-                    keys[spec.key] = len(self.channels)
+                    keys[spec.key] = one.row
                     self.channels.append(one)
         self.receiver = Receiver(
             codec, channel.records(self.channels), len(nodes),
             receiving.id_table(keys, own, supervision.ids), supervision, MAX_GAP_NS,
         )  # fmt: skip
-        for row, each in enumerate(self.channels):
-            each.seat(row)
         for drive in self.drives:
             drive.seat()
 

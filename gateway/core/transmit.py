@@ -24,7 +24,6 @@ from dbc.records import TRANSMITTER, TX_FRAME, TX_MESSAGE, TX_SIGNAL, Addressed,
 from dbc.spec import MessageSpec
 from gateway.core.flags import Status
 from gateway.core.tx_signals import OF_A_DRIVE, OF_THE_SET
-from gateway.core.view import Counted
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
@@ -109,7 +108,10 @@ class Outbox(Addressed):
         """Frames of `Gateway_Auth` so far."""
         self.vouched = {self.specs[name].can_id: self.specs[name].key for name in VOUCHED}
         self.link()
-        self.note_counts(Counted(0, 0, 0, None, None, None))
+        counts = self.record["counts"]
+        counts["config_hash"] = config_hash
+        for name in ("bus_load_percent", "latency_p99_us", "lateness_p99_us"):
+            counts[name] = math.nan
 
     def link(self) -> None:
         """See `Addressed`."""
@@ -133,16 +135,6 @@ class Outbox(Addressed):
         """Begin the cycles at the first tick."""
         if not self._begun:
             self.restart(now)
-
-    def note_counts(self, counted: Counted) -> None:
-        """Set the numbers that `Gateway_Info` and `Gateway_Status` contain from now on."""
-        counts = self.pointer.counts
-        counts.deadline_misses = counted.deadline_misses
-        counts.rejected, counts.lost = counted.rejected, counted.lost
-        counts.bus_load_percent = _number(counted.bus_load_percent)
-        counts.latency_p99_us = _number(counted.latency_p99_us)
-        counts.lateness_p99_us = _number(counted.lateness_p99_us)
-        counts.config_hash = self.config_hash
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
         """The driver's own measurements, for `Gateway_Info`."""
@@ -201,10 +193,6 @@ class Outbox(Addressed):
 
 def _known(number: float) -> float | None:
     return None if math.isnan(number) else number
-
-
-def _number(x: float | None) -> float:
-    return math.nan if x is None else x
 
 
 def _sources(spec: MessageSpec, nodes: Sequence[int]) -> Iterator[tuple[str, int, int]]:

@@ -6,7 +6,7 @@ They are made on demand: a replay without a report asks for them once per change
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from dbc.frame import Nanos
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
@@ -82,17 +82,6 @@ class GatewayView(NamedTuple):
     lateness_p99_us: float | None
 
 
-class Counted(NamedTuple):
-    """Content of `Gateway_Status` and `Gateway_Info` beside the state. None: not known."""
-
-    deadline_misses: int
-    rejected: int
-    lost: int
-    bus_load_percent: float | None
-    latency_p99_us: float | None
-    lateness_p99_us: float | None
-
-
 def drives_of(status: Status, nodes: Sequence[int], wear: Sequence[Wear]) -> tuple[DriveView, ...]:
     """View of every drive. wear: what is known of its degradation."""
     drives = status.drives
@@ -134,9 +123,9 @@ def view_of(
     status: Status,
     drives: tuple[DriveView, ...],
     common_load_nm: float | None,
-    counted: Counted,
+    **counts: Any,
 ) -> GatewayView:
-    """View of the whole set."""
+    """View of the whole set. counts: the fields of `GatewayView` from `deadline_misses` on."""
     train = status.train[0]
     sensor, comm, estimator, overrun, common = (
         _FLAGS[train[name]] for name in ("sensor", "comm", "estimator", "overrun", "common_mode")
@@ -144,5 +133,5 @@ def view_of(
     return GatewayView(
         t_ns, drives, int(train["detector"]), common, common_load_nm,
         _REASONS[train["adhesion_reason"]], _REASONS[train["faults_reason"]],
-        sensor, comm, estimator, overrun, GatewayState(int(train["state"])), *counted,
+        sensor, comm, estimator, overrun, GatewayState(int(train["state"])), **counts,
     )  # fmt: skip

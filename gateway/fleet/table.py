@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 from gateway.core.codes import REJECTED
 from gateway.io.whole_file import whole
 from gateway.reports.dropped import warning
+from gateway.reports.known import spans
 
 TABLE, TEXT = "fleet.parquet", "fleet.csv"
 DONE, BAD = "done", "bad"
@@ -91,20 +92,10 @@ def per_drive(
     """
     spent = {node: dict.fromkeys(STATES.values(), 0) for node in nodes}
     raised = {node: dict.fromkeys(RAISED.values(), 0) for node in nodes}
-    since: dict[tuple[int, str], tuple[int, str]] = {}
-
-    def ended(node: int, what: str, now_ns: int) -> None:
-        if (node, what) in since:
-            begun_ns, word = since[node, what]
-            spent[node][STATES[what, word]] += now_ns - begun_ns
-
-    for t_ns, node, what, word in changes:
-        ended(node, what, t_ns)
-        since[node, what] = t_ns, word
+    for node, what, word, ns in spans(changes, end_ns):
+        spent[node][STATES[what, word]] += ns
         if (what, word) in RAISED:
             raised[node][RAISED[what, word]] += 1
-    for node, what in since:
-        ended(node, what, end_ns)
     return [
         {"drive": n, **{name: ns / 1e9 for name, ns in spent[n].items()}, **raised[n]}
         for n in nodes

@@ -69,12 +69,7 @@ def _replayed(one: Job, settings: Settings, path: Path, folder: Path, mark: dict
     recorder = Changes()
     (folder / FOLDER).mkdir(exist_ok=True)
     with Estimates(folder / FOLDER / one.name, config.nodes) as estimates:
-
-        def changed(gateway: Gateway) -> None:
-            assert gateway.view is not None
-            recorder.add(gateway.view)
-
-        sink = Briefly(lambda _out: None, changed, estimates)
+        sink = Briefly(lambda _out: None, recorder.follow, estimates)
         done = replay(blocks, lambda at: Gateway(config, codec, at), config.loop.period_ns, sink)
         reader = log.reader
         faulty = sum(n for v, n in reader.counts.items() if v.is_fault)

@@ -112,7 +112,6 @@ def write_forecast(folder: Path, of: Sequence[Cell]) -> list[Path]:
 
 def _draw(path: Path, of: Sequence[Cell]) -> None:
     """Draw median delay over loss: a panel per kind of drive and torque, a line per speed."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     from gateway.reports import figures
@@ -120,7 +119,6 @@ def _draw(path: Path, of: Sequence[Cell]) -> None:
     groups = list(dict.fromkeys(cell.nodes for cell in of))
     with figures.styled():
         figure = Figure(figsize=(figures.WIDTH_IN, 3.2 * len(groups)), layout="constrained")
-        FigureCanvasSVG(figure)
         axes = figure.subplots(len(groups), len(TORQUES), sharex=True, sharey=True, squeeze=False)
         colours = (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE, figures.SKY)
         looks = list(zip(colours, "os^Dv", strict=True))

@@ -175,17 +175,3 @@ def text(found: Iterable[Explained]) -> str:
         f"  example  {one.example}"
         for one in found
     )
-
-
-def tables() -> str:
-    """The explanations in Markdown for a page, a table for each kind."""
-    lines: list[str] = []
-    for kind, _ in _KINDS:
-        lines += [f"## {kind}", "", "| code | name | meaning | what to do | example |",
-                  "|---|---|---|---|---|"]  # fmt: skip
-        lines += [
-            f"| {int(one.code)} | `{one.name}` | {' | '.join(one[2:])} |"
-            for one in ALL if one.kind == kind
-        ]  # fmt: skip
-        lines.append("")
-    return "\n".join(lines).rstrip("\n")

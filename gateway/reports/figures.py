@@ -111,14 +111,12 @@ def styled() -> Iterator[None]:
 
 def panels(wanted: Sequence[Panel], top_in: float = 0.12) -> Any:
     """A figure with these panels below one another, on one time axis: (figure, axes)."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     # Sizes are given in inches, because a layout engine draws everything twice.
     gaps = _GAP_IN * (len(wanted) - 1) + _NAMES_IN * sum(p.names for p in wanted)
     high = top_in + _FOOT_IN + sum(p.height for p in wanted) + gaps
     figure = Figure(figsize=(WIDTH_IN, high))
-    FigureCanvasSVG(figure)
     axes: list[Axes] = []
     y = high - top_in
     for panel in wanted:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from gateway.core.codes import SENSOR_FAULTS, FaultClass, FaultSensor, Flag, Reason
 from gateway.core.flags import FlagKind
-from gateway.core.view import DriveView
 from gateway.reports.known import FLAGS
 from gateway.reports.record import ADHESION, COMMON, FAULT, NEITHER, camel
 
@@ -22,6 +21,10 @@ KEPT: Final = 5000
 """Intervals of each kind (flag and state) that are kept; further ones are only counted."""
 BAD: Final = frozenset({"AdhesionLost", "Fault", "AllDrives"})
 _WORDS: Final = ("adhesion_reason", "thermal_reason", "fault_class", "fault_sensor")
+_DRIVE: Final = {
+    "adhesion": ADHESION, "thermal": FAULT, "sensor": FAULT, "comm": FAULT, "estimator": FAULT,
+}  # fmt: skip
+"""Flags of a drive, and the words of their states."""
 _TRAIN: Final = ("common_mode", "overrun")
 OTHERS: Final = ("sensor", "comm", "estimator", "common mode", "overrun")
 
@@ -97,18 +100,18 @@ class Intervals:
         """status: the flags by `FlagKind`, then `_WORDS`."""
         flags = [Flag(state) for state in status[: len(FlagKind)]]
         why, why_thermal, kind, whose = status[len(FlagKind) :]
-        d = DriveView(
-            node, thermal=flags[FlagKind.THERMAL], thermal_reason=Reason(why_thermal),
-            fault_class=FaultClass(kind), fault_sensor=FaultSensor(whose),
-        )  # fmt: skip
-        adhesion = self._note(node, "adhesion", ADHESION[flags[FlagKind.ADHESION]], now)
+        fault = _fault(FaultClass(kind), FaultSensor(whose))
+        adhesion, thermal, sensor, *_ = (
+            self._note(node, name, words[flags[FlagKind[name.upper()]]], now)
+            for name, words in _DRIVE.items()
+        )
         _because(adhesion, Reason(why))
-        _ill(self._note(node, "thermal", FAULT[d.thermal], now), d)
-        sensor = self._note(node, "sensor", FAULT[flags[FlagKind.SENSOR]], now)
-        if flags[FlagKind.SENSOR] is Flag.BAD and d.fault_class in SENSOR_FAULTS:
-            sensor.causes[_fault(d)] = None
-        self._note(node, "comm", FAULT[flags[FlagKind.COMM]], now)
-        self._note(node, "estimator", FAULT[flags[FlagKind.ESTIMATOR]], now)
+        if flags[FlagKind.THERMAL] is not Flag.BAD:
+            _because(thermal, Reason(why_thermal))
+        elif kind > FaultClass.NONE:
+            thermal.causes[fault] = None
+        if flags[FlagKind.SENSOR] is Flag.BAD and kind in SENSOR_FAULTS:
+            sensor.causes[fault] = None
 
     def _note(self, node: int, flag: str, state: str, now: int) -> _Running:
         running = self._running.get((node, flag))
@@ -149,20 +152,10 @@ class Intervals:
 
 def _because(running: _Running, reason: Reason) -> None:
     if reason is not Reason.NONE:
-        running.causes[camel(Reason(reason).name)] = None
+        running.causes[camel(reason.name)] = None
 
 
-def _ill(running: _Running, drive: DriveView) -> None:
-    """Add the reason why a thermal flag is unknown, or class and sensor of its fault."""
-    if drive.thermal is not Flag.BAD:
-        _because(running, drive.thermal_reason)
-    elif drive.fault_class not in (FaultClass.UNKNOWN, FaultClass.NONE):
-        running.causes[_fault(drive)] = None
-
-
-def _fault(drive: DriveView) -> str:
+def _fault(kind: FaultClass, sensor: FaultSensor) -> str:
     """Class of a fault and, if it is one of a sensor, which: a hot motor may have one beside."""
-    name = camel(FaultClass(drive.fault_class).name)
-    if drive.fault_class in SENSOR_FAULTS and drive.fault_sensor is not FaultSensor.NONE:
-        name += f" ({camel(FaultSensor(drive.fault_sensor).name)})"
-    return name
+    named = kind in SENSOR_FAULTS and sensor is not FaultSensor.NONE
+    return camel(kind.name) + (f" ({camel(sensor.name)})" if named else "")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
+from dbc.text import number_or_nan
 from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
@@ -16,19 +16,30 @@ Shares = Mapping[str, Mapping[int, float]]
 """Percent of the time, by flag and node."""
 
 
+def spans(
+    changes: Iterable[tuple[int, int, str, str]], last_ns: int
+) -> Iterator[tuple[int, str, str, int]]:
+    """Yield (node, flag, state, ns) for each time in which a flag had one state.
+
+    changes: rows of (time in ns, node, flag, new state), in the order of time.
+    """
+    since: dict[tuple[int, str], tuple[int, str]] = {}
+    for t_ns, node, flag, state in changes:
+        if (node, flag) in since:
+            began, before = since[node, flag]
+            yield node, flag, before, t_ns - began
+        since[node, flag] = t_ns, state
+    for (node, flag), (began, state) in since.items():
+        yield node, flag, state, last_ns - began
+
+
 def shares(
     changes: Iterable[tuple[int, int, str, str]], nodes: Iterable[int], first_ns: int, last_ns: int
 ) -> Shares:
-    """Shares from rows of (time in ns, node, flag, new state), in the order of time."""
+    """Shares from rows as `spans` takes them."""
     known_ns = {flag: dict.fromkeys(nodes, 0) for flag in FLAGS}
-    since: dict[tuple[str, int], int] = {}
-    for t_ns, node, flag, word in changes:
-        if word != UNKNOWN:
-            since.setdefault((flag, node), t_ns)
-        elif (began := since.pop((flag, node), None)) is not None:
-            known_ns[flag][node] += t_ns - began
-    for (flag, node), began in since.items():
-        known_ns[flag][node] += last_ns - began
+    for node, flag, state, ns in spans(changes, last_ns):
+        known_ns[flag][node] += ns if state != UNKNOWN else 0
     span = max(last_ns - first_ns, 1)
     return {
         flag: {node: min(100.0, 100.0 * ns / span) for node, ns in each.items()}
@@ -87,10 +98,7 @@ def short_of(known: Shares, wanted: Mapping[str, float]) -> list[str]:
 
 def percentage(text: str) -> float:
     """Parse a share in percent. Raises ArgumentTypeError unless it is 0 to 100."""
-    try:
-        share = float(text)
-    except ValueError:
-        share = math.nan
+    share = number_or_nan(text)
     if not 0.0 <= share <= 100.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a percentage: expected 0 to 100")
     return share

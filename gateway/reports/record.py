@@ -19,6 +19,7 @@ from gateway.core.view import GatewayView
 from gateway.io.whole_file import whole
 
 if TYPE_CHECKING:
+    from gateway.core.gateway import Gateway
     from gateway.reports.ticks import Ticks
 
 ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
@@ -172,6 +173,11 @@ class Changes:
         """Process one tick."""
         for d in view.drives:
             self.note(view.t_ns, d.node, d.adhesion, d.thermal)
+
+    def follow(self, gateway: Gateway) -> None:
+        """Process the tick that a gateway has just done."""
+        assert gateway.view is not None
+        self.add(gateway.view)
 
     def note(self, t_ns: int, node: int, adhesion: Flag, thermal: Flag) -> None:
         """Process the flags of one drive in a tick."""

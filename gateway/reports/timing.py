@@ -78,7 +78,6 @@ def section(run: Timed) -> list[str]:
 
 def _picture(path: Path, stages: Sequence[Stage], period_ns: int) -> None:
     """Draw a histogram for each stage, with a bar for each octave, on one time axis."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     from gateway.reports.figures import BLUE, ORANGE, WIDTH_IN, save, styled
@@ -87,7 +86,6 @@ def _picture(path: Path, stages: Sequence[Stage], period_ns: int) -> None:
     most = max([below for stage in stages for _, below, _ in stage.octaves] + [period_ns])
     with styled():
         figure = Figure(figsize=(WIDTH_IN, 1.9 * rows), layout="constrained")
-        FigureCanvasSVG(figure)
         axes = figure.subplots(rows, _COLUMNS, sharex=True, squeeze=False)
         axes[0, 0].set_xlim(0.9 * _SHOWN_NS / 2e6, 1.5 * most / 1e6)
         axes[0, 0].set_xscale("log")

@@ -7,6 +7,7 @@ Without it the thermal flags stay unknown: a limit that was not measured is a gu
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +28,7 @@ from gateway.settings.sections import Adhesion
 POINTS = ("stator", "drive_end", "non_drive_end")
 COVERAGE = Coverage._fields
 """Keys of a motor's heat: how consistent its filters were in fault-free runs."""
+_FORMATS = {"rates": ".5e", "duty": ".6g"}
 ADDED = ("own_k", "held_back_h", "largest_log_odds")
 """Keys of the fleet's heat that older files lack."""
 NO_HEAT = (
@@ -271,49 +273,27 @@ def load(
     return calibration
 
 
+def _keys(table: Deferred) -> Iterator[str]:
+    """Yield the lines of a table's own keys, without those of the tables in it."""
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        if name in ("motor", "heat") or value is None:
+            continue
+        if isinstance(value, tuple):
+            value = "[" + ", ".join(f"{v:{_FORMATS.get(name, '.3f')}}" for v in value) + "]"
+        elif name in COVERAGE:
+            value = f"{value:.3f}"
+        yield f"{name} = {value}"
+
+
 def to_toml(calibration: Calibration) -> str:
     """Text of the file, with a checksum over the numbers as they are written in it."""
-
-    def numbers(values: tuple[float, ...], how: str = ".3f") -> str:
-        return "[" + ", ".join(f"{v:{how}}" for v in values) + "]"
-
-    fleet = calibration.heat
-    lines = [
-        f"window_s = {calibration.window_s}",
-        f"maisd_limit_k = {numbers(calibration.maisd_limit_k)}",
-        f"deviation_limit_k = {numbers(calibration.deviation_limit_k)}",
-    ]
-    if fleet is not None:
-        lines += ["", "[heat]", f"scale = {fleet.scale}", f"duty = {numbers(fleet.duty, '.6g')}"]
-        lines += [] if fleet.own_k is None else [f"own_k = {fleet.own_k}"]
-        if fleet.held_back_h is not None and fleet.largest_log_odds is not None:
-            lines += [
-                f"held_back_h = {fleet.held_back_h}",
-                f"largest_log_odds = {numbers(fleet.largest_log_odds)}",
-            ]
+    tables: list[tuple[str, Deferred | None]] = [("\n[heat]", calibration.heat)]
     for motor in calibration.motor:
-        lines += [
-            "",
-            "[[motor]]",
-            f"node = {motor.node}",
-            f"gain = {numbers(motor.gain)}",
-            f"offset_k = {numbers(motor.offset_k)}",
-            f"longest_hold_s = {numbers(motor.longest_hold_s)}",
-            f"largest_step_k = {numbers(motor.largest_step_k)}",
-        ]
-        if motor.heat is not None:
-            lines += [
-                "[motor.heat]",
-                f"rates = {numbers(motor.heat.rates, '.5e')}",
-                f"offset_k = {numbers(motor.heat.offset_k)}",
-                f"centre_k = {numbers(motor.heat.centre_k)}",
-                f"noise_k = {numbers(motor.heat.noise_k)}",
-            ]
-            lines += [
-                f"{name} = {numbers(value) if isinstance(value, tuple) else format(value, '.3f')}"
-                for name in COVERAGE
-                if (value := getattr(motor.heat, name)) is not None
-            ]
+        tables += [("\n[[motor]]", motor), ("[motor.heat]", motor.heat)]
+    lines = list(_keys(calibration))
+    for title, table in tables:
+        lines += [] if table is None else [title, *_keys(table)]
     body = "\n".join(lines) + "\n"
     # A checksum of the rounded numbers, because those will be read.
     checksum = Calibration.model_validate(read_toml(body)).checksum()

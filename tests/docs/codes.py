@@ -23,9 +23,23 @@ EXITS = """
 """
 
 
+def tables():
+    """A table for each kind of code."""
+    lines = []
+    for kind in dict.fromkeys(one.kind for one in explanations.ALL):
+        lines += [f"## {kind}", "", "| code | name | meaning | what to do | example |",
+                  "|---|---|---|---|---|"]  # fmt: skip
+        lines += [
+            f"| {int(one.code)} | `{one.name}` | {' | '.join(one[2:])} |"
+            for one in explanations.ALL if one.kind == kind
+        ]  # fmt: skip
+        lines.append("")
+    return "\n".join(lines).rstrip("\n")
+
+
 def page():
     """The whole of it."""
-    return f"{HEAD}\n{explanations.tables()}\n{EXITS}"
+    return f"{HEAD}\n{tables()}\n{EXITS}"
 
 
 if __name__ == "__main__":
