@@ -22,8 +22,9 @@ STEP_K: Final = 1.5
 """Least step of medians over seconds."""
 STEP_NOISES: Final = 6.0
 """A step is at least so many times the noise of a single reading: eight times that of a median."""
-BACK_K: Final = 1.0
-"""A sensor that is off by less is back at its first level."""
+BACK: Final = 2.0 / 3.0
+"""A sensor that is off by less than this share of a step is back at its first level: a step and the
+step back are measured with the same noise."""
 HEAT_K_PER_S: Final = 0.1
 """Largest rate at which heat unknown to the model changes a level."""
 SLOWEST_S: Final = 2.0
@@ -37,8 +38,8 @@ def config(spacing_s: float, *, noise_k: float = 0.0, tested: bool = True) -> Re
     noise_k: standard deviation of the noise of a reading.
     """
     out = np.zeros(1, records.STEP_CONFIG)
-    out["step_k"] = max(STEP_K, STEP_NOISES * noise_k) if tested else 0.0
-    out["back_k"] = BACK_K
+    least = max(STEP_K, STEP_NOISES * noise_k)
+    out["step_k"], out["back_k"] = least if tested else 0.0, BACK * least
     out["drift_k"] = HEAT_K_PER_S * spacing_s
     for name, seconds in (("before", BEFORE_S), ("after", AFTER_S), ("settled", SETTLED_S)):
         out[name] = round(seconds / spacing_s)

@@ -10,16 +10,17 @@ from estimators._core import pointer
 from estimators.thermal.step_detector import MOST_SAMPLES, SLOWEST_S, config, window
 
 
-def offsets(residual: Array, spacing_s: float) -> Array:
+def offsets(residual: Array, spacing_s: float, noise_k: float = 0.0) -> Array:
     """(K, M, 3) K: how far each sensor has stepped, by what was seen until then.
 
     residual (K, M, 3) K, NaN without a reading; spacing_s: between samples; 0 if that is more than
-    `SLOWEST_S`. Raises ValueError where more than `MOST_SAMPLES` are to be looked at.
+    `SLOWEST_S`; noise_k: of a reading. Raises ValueError where more than `MOST_SAMPLES` are to be
+    looked at.
     """
     out = np.zeros_like(residual)
     if spacing_s > SLOWEST_S:
         return out
-    found = config(spacing_s)
+    found = config(spacing_s, noise_k=noise_k)
     if window(found) > MOST_SAMPLES:
         raise ValueError(f"samples {spacing_s} s apart are too close together for steps")
     for m, p in np.ndindex(*residual.shape[1:]):

@@ -70,6 +70,17 @@ def test_of_noisy_sensors_a_step_is_larger():
     assert config["step_k"].item() == 3.0
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_noisy_sensor_that_steps_back_has_no_offset(seed):
+    """A step and the way back are measured with the noise of each: what is left is no offset."""
+    noise_k = 0.6
+    z = noise_k / NOISE_K * quiet(seed=seed)
+    z[400:800] += 9.0
+    off = offsets(z, 1.0, noise_k)[:, 0, 0]
+    assert off[400 + WITHIN : 800] == pytest.approx(9.0, abs=1.5)
+    assert not off[800 + WITHIN :].any()
+
+
 def test_ten_times_the_rate_is_the_same_sensor():
     z = quiet(12_000)
     z[4000:8000] += 3.0
