@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
+# Without compiled files kept, each of a run's processes compiles all tests anew: 8 s of a processor.
+unexport PYTHONDONTWRITEBYTECODE
 
 # The compiled core.
 CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c gateway/core/*.c sim/*/*.c)

@@ -36,7 +36,6 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_thermal_imm.py",
        "tests/unit/test_residuals_reference.py",
        "tests/unit/test_thermal_monitor_odd.py",
-       "tests/unit/test_thermal_monitor_order.py",
        "tests/unit/test_thermal_step_detector.py",
        "tests/unit/test_thermal_model.py",
        "tests/unit/test_thermal_coverage.py", "tests/unit/test_thermal_cut_out.py",
@@ -44,10 +43,10 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_est_acquisition.py",
        "tests/unit/test_est_adaptation.py",
        "tests/unit/test_est_current_calibration.py",
-       "tests/unit/test_train_reference.py", "tests/unit/test_creep.py",
+       "tests/unit/test_train_reference.py::test_any_course_of_a_train[0-16-800-0.5]",
+       "tests/unit/test_creep.py",
        "tests/unit/test_slip_bench.py::test_no_wheel_locks_or_slides_as_adhering_where_all_slide_at_once",
-       "tests/unit/test_adhesion_reference.py", "tests/unit/test_switching_reference.py",
-       "tests/unit/test_switching.py",
+       "tests/unit/test_adhesion_reference.py", "tests/unit/test_switching.py",
        "tests/unit/test_drivers_batch.py",
        "tests/unit/test_estimate_reference.py",
        "tests/unit/test_temperature.py",
@@ -73,6 +72,22 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_thermal_rivals.py",
        "tests/fuzzing/test_fuzzing.py::test_every_target_holds[tick]")  # fmt: skip
 """Tests that answer for the core: together they run every line and branch of it."""
+REPEATS = tuple(f"tests/unit/test_{name}" for name in (
+    "creep.py::test_anything_is_as_the_reference_has_it[7]",
+    "creep.py::test_anything_is_as_the_reference_has_it[16]",
+    "est_acquisition.py::test_reversal_through_zero",
+    "est_filter.py::test_a_bad_number_stops_its_drive_only",
+    "est_filter.py::test_it_equals_the_reference",
+    "flags_reference.py::test_flags_of_drives_go_as_single_ones",
+    "maisd_spikes.py::test_a_code_that_comes_again_and_again_makes_no_motor_hot",
+    "maisd_spikes.py::test_a_loose_contact_makes_no_motor_hot",
+    "sample_clock.py::test_it_equals_the_reference",
+    "thermal_cut_out.py::test_a_calibration_with_it_judges_the_driven_motor_as_one_without",
+    "thermal_cut_out.py::test_it_is_not_judged_until_some_blocks_after_it_is_driven_again",
+    "thermal_monitor_odd.py::test_20_000_hostile_blocks_leave_probabilities_and_covariances",
+    "ticks.py::test_other_storms_and_few_ticks_at_a_time",
+))  # fmt: skip
+"""Of them those that take seconds and run nothing that others do not: `make test` has them."""
 HOSTILE = ("tests/unit/test_receive_reference.py", "tests/unit/test_left_out_samples.py",
            "tests/unit/test_codec_reference.py", "tests/unit/test_drivers_batch.py",
            "tests/property/test_dbc_candump_property.py",
@@ -187,7 +202,7 @@ def coverage(arguments):
     place = built("coverage")
     for counts in place.rglob("*.gcda"):
         counts.unlink()
-    code = run(place, [*OWN, *arguments])
+    code = run(place, [*OWN, *(f"--deselect={one}" for one in REPEATS), *arguments])
     bad = code != 0
     for source in SOURCES:
         lines, left = unreached(place, source)

@@ -57,12 +57,13 @@ def test_what_a_sentence_names_exists(page):
 
 FIRST = ("README.md", "docs/inverters.md", "docs/tutorials/")
 """Pages that a new user follows: for every change. `make test-all` has the others."""
-MINUTES = "docs/tutorials/hil_tests.md"
-"""Its verbs and its suite are run by test_testing.py and test_hil_mutate.py."""
+LATER = tuple(f"docs/tutorials/{name}.md" for name in ("hil_tests", "shrink", "slip_bench"))
+"""What they show is run by test_testing.py and test_hil_mutate.py, test_shrink.py, and
+test_hil_slip.py."""
 
 
 def is_for_later(page):
-    return page == MINUTES or not page.startswith(FIRST)
+    return page in LATER or not page.startswith(FIRST)
 
 
 @pytest.mark.parametrize("page", [

@@ -12,6 +12,9 @@ from tests.hil.inside import STALLS
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 PAGES = sorted({b.page for page in pages() for b in blocks(page) if b.run == "vcan"})
+LATER = "docs/tutorials/"
+"""Their commands on a bus are the README's and those of test_vcan_scenarios.py, in another order:
+`make test-all` has them."""
 
 TOO_SLOW = "this machine could not keep up"
 
@@ -26,7 +29,9 @@ def no_bus(vcan):
         vcan.link("create")
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [
+    pytest.param(page, marks=[pytest.mark.thorough] * page.startswith(LATER)) for page in PAGES
+])  # fmt: skip
 def test_what_a_page_shows_works_on_a_bus(no_bus, page, tmp_path):
     """A page shows the shipped rates, which a kernel in user mode carries only just.
 

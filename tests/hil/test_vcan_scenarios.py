@@ -18,7 +18,7 @@ NAMES = tuple(
     name for name in builtin_names() if not name.startswith("calibration_") and name != REPORTED
 )
 """All others that ship but the fault-free runs to calibrate from, which expect nothing."""
-QUICK = ("lossy_bus", "silent")
+QUICK = ("lossy_bus",)
 """For every change; `make test-all` has the others. Off the bus all are: `test_scenarios.py`."""
 
 

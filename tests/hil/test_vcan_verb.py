@@ -53,7 +53,11 @@ def test_what_a_command_does_comes_through(tmp_path):
     assert {"here 1A0#02", "there 1A0#02"} >= set(recorded[2:])
 
 
-@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
+OTHER = pytest.mark.thorough
+"""The second signal takes the same way; each test here starts a kernel of its own."""
+
+
+@pytest.mark.parametrize("kind", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=OTHER)])
 def test_a_signal_is_for_the_command(tmp_path, kind):
     waits = (
         "import signal, sys, time\n"
@@ -69,7 +73,9 @@ def test_a_signal_is_for_the_command(tmp_path, kind):
         assert process.wait(timeout=300) == 9
 
 
-@pytest.mark.parametrize(("kind", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize(
+    ("kind", "code"), [pytest.param(signal.SIGTERM, 143, marks=OTHER), (signal.SIGINT, 130)]
+)
 def test_a_signal_ends_a_command_that_does_not_handle_it(kind, code):
     sleeps = "import time; print('ready', flush=True); time.sleep(60)"
     command = [*VCAN, "--", sys.executable, "-c", sleeps]
@@ -132,7 +138,9 @@ def test_a_test_has_an_interface_of_its_own(tmp_path):
     assert "1 passed" in done.stdout
 
 
+@pytest.mark.thorough
 def test_the_tutorial_works(tmp_path):
+    """Its recording, its bus-off and its fixture are in the tests above."""
     assert run_page("docs/tutorials/vcan.md", ON_A_BUS, tmp_path)
 
 

@@ -1,7 +1,9 @@
 """A mapped drive under hostile frames: good only on what really came, and nothing ever raises."""
 
 from collections import Counter
+from functools import cache
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,11 +29,25 @@ frames = st.builds(
 )
 
 
+@pytest.fixture(scope="module")
+def config_of(tmp_path_factory):
+    """The configuration of each form."""
+    return cache(lambda form: mapped(tmp_path_factory.mktemp("dbc"), form))
+
+
+@pytest.fixture(scope="module")
+def train(config_of):
+    """What three drives send in each form, by the tick."""
+    sent = run(Simulation(scenario(seed=3, duration_s=1.5, drives=3), codec()), 1.5)
+    ticks = range(TICK, 1_500_000_000, TICK)
+    return cache(lambda form: list(by_tick(spoken(config_of(form), sent), ticks)))
+
+
 @given(st.sampled_from(sorted(FORMS)), st.lists(frames, max_size=60), st.data())
 @settings(max_examples=60, deadline=None)
-def test_anything_may_come(tmp_path_factory, form, hostile, data):
+def test_anything_may_come(config_of, form, hostile, data):
     """Every frame ends in a counter, and what is made of it has a checksum that the core takes."""
-    config = mapped(tmp_path_factory.mktemp("dbc"), form)
+    config = config_of(form)
     planned = plans(config)
     taken, counts = fitted(codec(), planned), Counter()
     now = data.draw(st.integers(0, 2_000_000_000))
@@ -46,9 +62,6 @@ def test_anything_may_come(tmp_path_factory, form, hostile, data):
     assert all(drive.adhesion is Flag.UNKNOWN for drive in gateway.view.drives)
 
 
-TRAIN = run(Simulation(scenario(seed=3, duration_s=1.5, drives=3), codec()), 1.5)
-
-
 @given(
     st.sampled_from(sorted(FORMS)),
     st.sampled_from(["Cur", "Vol", "Mot"]),
@@ -56,12 +69,11 @@ TRAIN = run(Simulation(scenario(seed=3, duration_s=1.5, drives=3), codec()), 1.5
     st.integers(60, 110),
 )
 @settings(max_examples=24, deadline=None)
-def test_what_stops_coming_stops_being_good(tmp_path_factory, form, message, how, tick):
+def test_what_stops_coming_stops_being_good(config_of, train, form, message, how, tick):
     """From some tick on one message of drive 1 is silent, random, invalid or always the same."""
-    config = mapped(tmp_path_factory.mktemp("dbc"), form)
     can_id = 0x610 + ["Cur", "Vol", "Mot"].index(message)
-    gateway, held, good = Gateway(config, codec(), 0), None, []
-    for now, frames in by_tick(spoken(config, TRAIN), range(TICK, 1_500_000_000, TICK)):
+    gateway, held, good = Gateway(config_of(form), codec(), 0), None, []
+    for now, frames in train(form):
         batch = []
         for frame in frames:
             if frame.can_id == can_id and now > tick * TICK:

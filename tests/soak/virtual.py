@@ -106,11 +106,12 @@ def slow_round(path, span_s):
     return codec, [b._replace(t_ns=b.t_ns - span_s * SECOND) for b in frames[span_s:]]
 
 
-def slow_messages(hours, path, span_s=HOUR):
+def slow_messages(readings, path, span_s=HOUR, every_s=HOUR):
     """Motion, Status and Temperatures once a second, and a step of the core as often.
 
     The gateway itself steps a hundred times as often, mostly with nothing to do: thirty days of
     that are eleven hours of a core here, and not what is looked for, which is what adds up.
+    readings: of memory and descriptors, one every so many seconds.
     span_s: length of the record that is played again and again; a multiple of 16.
     """
     codec, recorded = slow_round(path, span_s)
@@ -122,4 +123,4 @@ def slow_messages(hours, path, span_s=HOUR):
         return block._replace(t_ns=block.t_ns + turn * span_s * SECOND)
 
     core = Gateway(config, codec, 0)
-    return soak(core, codec, came, hours * HOUR, SECOND, HOUR)
+    return soak(core, codec, came, readings * every_s, SECOND, every_s)

@@ -14,6 +14,7 @@ from gateway.core import gateway as core
 from gateway.core.codes import Flag, Health, Reason
 from gateway.core.flags import FlagKind
 from gateway.core.receiving import NAMES
+from tests.simrun import codec
 from tests.stepped import Stepped
 from tests.storm import campaign
 from tests.storm.bus_faults import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
@@ -440,7 +441,7 @@ def test_with_evidence_against_every_flag_no_rule_is_broken(monkeypatch):
         assert result.said[name, Flag.BAD] > 100
 
 
-ONE = [spec.can_id for spec in train().codec.messages if spec.name.startswith("Drive2_")]
+ONE = [spec.can_id for spec in codec(NODES).messages if spec.name.startswith("Drive2_")]
 
 
 def carried(kind, amount=1.0, ticks=40, drive=1):

@@ -21,7 +21,7 @@ def flags_of(drives, through=lambda frames, now: frames, **more):
     return flags
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(("drives", "noise"), [(3, 2e-4), (3, NOISY_A2), (8, NOISY_A2)])
 def test_a_quarter_of_all_loads_is_missed_whatever_one_noisy_load_says(drives, noise, seed):
     lost = [
@@ -34,7 +34,7 @@ def test_a_quarter_of_all_loads_is_missed_whatever_one_noisy_load_says(drives, n
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.4, 1.7, 2.5])
-@pytest.mark.parametrize("drives", [3, 8])
+@pytest.mark.parametrize("drives", [3, pytest.param(8, marks=pytest.mark.thorough)])
 def test_one_wrong_command_is_no_loss_of_all(drives, factor):
     """Its load, and all that the others say, is right."""
     coded = codec(tuple(range(1, drives + 1)))

@@ -193,10 +193,12 @@ def test_a_service_is_told_to_stop_and_ends_well(inputs, number):
 @pytest.mark.parametrize(
     ("words", "verdict"),
     [
-        (("--help",), None), (("replay", "--help"), None), (("replay", "IN/s.log"), None),
-        (("hil", "IN/fail.toml"), 1), (("hil", "IN/s.toml"), None),
-        (("sim", "IN/s.toml"), None), (("check", "IN/train.toml", "--no-timing"), None),
-        (("convert", "IN/s.log", "OUT/o.parquet"), None), (("completion", "bash"), None),
+        (("--help",), None), (("replay", "IN/s.log"), None), (("hil", "IN/fail.toml"), 1),
+        *(pytest.param(words, None, marks=pytest.mark.thorough) for words in (
+            ("replay", "--help"), ("hil", "IN/s.toml"), ("sim", "IN/s.toml"),
+            ("check", "IN/train.toml", "--no-timing"), ("convert", "IN/s.log", "OUT/o.parquet"),
+            ("completion", "bash"),
+        )),
     ],
     ids=lambda given: "-".join(given[:2]).replace("IN/", "") if isinstance(given, tuple) else "",
 )  # fmt: skip

@@ -114,7 +114,7 @@ def test_permuted_drives_give_permuted_results(kind):
 @pytest.mark.parametrize("field", ["u", "y"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
 def test_a_bad_number_stops_its_drive_only(kind, field, bad):
-    c = case(n=3)
+    c = case(n=3, ticks=480)
     x_good, _, _, _ = sweep(kind, c)
     values = getattr(c.rows, field).copy()
     rows_of_1 = np.flatnonzero(c.rows.drive == 1)

@@ -89,8 +89,8 @@ def same(log, folder, config=None):
 def logs(tmp_path_factory):
     """Losses; a hot motor; the first with holes, silence, damage and time that goes back."""
     here = tmp_path_factory.mktemp("logs")
-    for name in ("demo", "overheating"):
-        assert main(["sim", name, "-o", str(here / f"{name}.log")]) == 0
+    for name, until_s in (("demo", ()), ("overheating", ("--duration", "30"))):
+        assert main(["sim", name, *until_s, "-o", str(here / f"{name}.log")]) == 0
     lines = (here / "demo.log").read_text().splitlines(keepends=True)
     first = stamp(lines[0])
     odd = []

@@ -129,6 +129,7 @@ def test_a_log_whose_day_changes_has_one_file(logs, tmp_path):
         assert len(files(out)) == len(list((out / FOLDER).rglob("*.parquet"))) == 1
 
 
+@pytest.mark.thorough  # test_fleet.py kills workers for every change
 def test_workers_that_are_killed_leave_each_object_once(logs, store):
     folder, url = f"{s3.BUCKET}/many", f"s3://{s3.BUCKET}"
     for k in range(6):

@@ -76,7 +76,7 @@ def test_tick_by_tick_the_frames_are_those_of_the_whole_run():
     one = run("wet_one")
     frames = encoded(one.codec, one.sent)
     last = frames[-1].t_ns + 1_000_000_000
-    for mutant in mutants(60, 4):
+    for mutant in mutants(30, 4):
         device, out = Altered(mutant, one.codec, one.nodes), []
         for frame in frames:
             out += device([frame], frame.t_ns)

@@ -213,18 +213,24 @@ DAY = 550
 """Ticks, of which the last 50 are looked at: thermal flags need 5 s."""
 
 
+@cache
+def sent(w_e, path):
+    """What drives that turn steadily send, by the tick."""
+    run = scenario(seed=3, duration_s=6.0, motion={"profile": [[0.0, w_e]]})
+    simulation = Simulation(run, codec(NODES, path), nodes=NODES)
+    return [simulation.step((), now) for now in range(TICK, DAY * TICK + 1, TICK)]
+
+
 def known(without, w_e, path=CLASSIC):
     """Flags of drive 1 that are known, with those messages of the drives not sent."""
     used = codec(NODES, path)
-    run = scenario(seed=3, duration_s=6.0, motion={"profile": [[0.0, w_e]]})
-    simulation = Simulation(run, used, nodes=NODES)
     tables = {"thermal": {"calibration": str(CALIBRATION)}, "drive": [{"node": n} for n in NODES]}
     core = Gateway(parse(tables), used, 0)
     gone = {m.can_id for m in used.messages if m.name.partition("_")[2] in without}
     assert len(gone) >= len(NODES) * len(without)
     seen = []
-    for now in range(TICK, DAY * TICK + 1, TICK):
-        core.step([f for f in simulation.step((), now) if f.can_id not in gone], now)
+    for k, frames in enumerate(sent(w_e, path), 1):
+        core.step([f for f in frames if f.can_id not in gone], k * TICK)
         seen.append([getattr(core.view.drives[0], flag) for flag in FLAGS])
     last = np.array(seen[-50:])
     assert not (last == Flag.BAD).any()

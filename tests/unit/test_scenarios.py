@@ -14,10 +14,10 @@ from gateway.reports.record import Changes
 from sim.scenario import builtin, builtin_names, parse
 
 NAMES = [name for name in builtin_names() if not name.startswith("calibration_")]
-THERMAL = {
-    "bearing", "cold_start", "cooling_loss", "duty_change", "hot_restart", "overheating",
-    "stuck_sensor", "tunnel",
-}  # fmt: skip
+THERMAL = (
+    "bearing", "cold_start", "cooling_loss", "duty_change", "hot_restart", "tunnel",
+)  # fmt: skip
+"""Minutes of temperatures: with everything that drives send before a release only."""
 
 
 def run(scenario, watch=()):
@@ -25,15 +25,14 @@ def run(scenario, watch=()):
     return run_virtual(scenario, config, codec, watch)
 
 
-def marks_of(name):
-    """A change of duty is also in `hot_restart`: before a release only."""
-    thorough = [pytest.mark.thorough] * (name == "duty_change")
-    return [pytest.mark.slow, *thorough] if name in THERMAL else []
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=marks_of(n)) for n in NAMES])
-def test_expectations_hold(name):
-    outcome = run(builtin(name))
+@pytest.mark.parametrize(
+    ("name", "traffic"),
+    [pytest.param(n, "full", marks=[pytest.mark.thorough] * (n in THERMAL)) for n in NAMES]
+    + [(name, "slow") for name in THERMAL],
+)
+def test_expectations_hold(name, traffic):
+    """Of temperatures also on the slow messages, which are all that thermal flags are made of."""
+    outcome = run(builtin(name).model_copy(update={"traffic": traffic}))
     assert outcome.verdicts
     assert not [v for v in outcome.verdicts if not v.passed]
     counts = outcome.gateway.inbox.counts
@@ -70,7 +69,7 @@ def test_a_wheel_that_slides_is_not_called_good_for_200_ms(name):
 
 @pytest.mark.parametrize("detector", ["vb", "switching"])
 @pytest.mark.parametrize(
-    "seed", [pytest.param(s, marks=[pytest.mark.thorough] * (s > 14)) for s in range(13, 17)]
+    "seed", [pytest.param(s, marks=[pytest.mark.thorough] * (s > 13)) for s in range(13, 17)]
 )
 def test_a_drive_that_takes_its_torque_back_is_judged_all_the_time(detector, seed):
     """It says how much it is asked for in every tenth tick only, and the ramp goes on between."""

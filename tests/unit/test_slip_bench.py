@@ -19,7 +19,9 @@ def scored(track: str, controller: str, seed: int = 0):
     return ride(LIBRARY[track], CONTROLLERS[controller](seed), controller).score
 
 
-@pytest.mark.parametrize("track", ["wet", "leaves", "degraded"])
+@pytest.mark.parametrize(
+    "track", ["wet", "leaves", pytest.param("degraded", marks=pytest.mark.thorough)]
+)
 def test_who_knows_the_coefficient_uses_it_and_nobody_else_beats_that(track):
     oracle = scored(track, "oracle")
     assert oracle.score >= 0.97

@@ -57,8 +57,10 @@ class Both:
             np.testing.assert_allclose(mine["c"], h.c, atol=1e-5)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 7])
-@pytest.mark.parametrize("noise", [0.005, 0.04])
+@pytest.mark.parametrize(("n", "noise"), [
+    pytest.param(n, noise, marks=[pytest.mark.thorough] * ((n == 7) == (noise > 0.01)))
+    for n in (1, 2, 3, 7) for noise in (0.005, 0.04)
+])  # fmt: skip
 def test_a_train_that_drives(n, noise):
     rng, both = np.random.default_rng(n), Both(n)
     met = set()
@@ -70,7 +72,7 @@ def test_a_train_that_drives(n, noise):
 
 
 @pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (2, 3))]
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3))]
 )
 def test_any_loads(seed):
     rng, n = np.random.default_rng(seed), 3

@@ -139,7 +139,7 @@ def test_of_a_record_its_readings_are_left_out_and_the_others_are_not():
     assert of_driven_motors(driven) is driven
 
 
-@pytest.mark.parametrize("which", [0, 2])
+@pytest.mark.parametrize("which", [0, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_calibration_with_it_judges_the_driven_motor_as_one_without(which):
     """Whether the run is one of those that the model is fitted to, or is held back."""
     runs = [train(25), train(29), train(26)]
