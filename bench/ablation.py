@@ -50,8 +50,10 @@ ELSEWHERE: Final = """\
 
 Parts whose rows equal the first one, or nearly, were removed in other runs, too: in simulators of
 other authors (`together`, `patch`, `n2_single`: all wheels, some, or one of two lose adhesion;
-`cutout`, `lock12`: a drive is cut out, twelve wheels lock in braking) and on
-[real wheels](../real_wheels.md). Changes are in percentage points, of the runs named.
+`cutout`, `lock12`: a drive is cut out, twelve wheels lock in braking; `start_bad`,
+`start_bad_heavy`: a rail that is bad from the start, with heavy rotors; `fast_samples`: samples
+each millisecond) and on [real wheels](../real_wheels.md). Changes are in percentage points, of the
+runs named.
 """
 
 
@@ -153,6 +155,14 @@ REMOVALS: Final = (
             "in->answers = (uint8_t)(answers(a, k) || never_asked(a, k));",
             "in->answers = (uint8_t)answers(a, k);",
             "`lock12`, 12 runs: false 3.1 more, unknown 8.6 more."),
+    Removal("a drive behind its command beside one that answers", RULES, LOSS,
+            "const int seems_lost = mine->p_response >= UNDECIDED && another_answers(a, k);",
+            "const int seems_lost = 0;",
+            "`start_bad` and `start_bad_heavy`, 12 runs each: dangerous 0.8 and 2.2 more."),
+    Removal("brakes do not explain an earlier deficit", RULES,
+            "estimators/detect/command_response.c",
+            "if (!(p > OPEN) || drive->deficit_s > 0.0)", "if (!(p > OPEN))",
+            "`fast_samples`, 32 runs: dangerous 3.0 more."),
     Removal("commands that pass through zero", RULES, LOSS,
             "const int passing = is_asked(&a->responses[k]) && !mine->response_valid;",
             "const int passing = 0;",

@@ -89,13 +89,14 @@ static double deficit_probability(const struct command_response *drive)
 }
 
 /* Probability of a deficit; `braked`: the missing load may slow the rotor, if friction brakes slow
- * its train as much. */
+ * its train as much. They build up as fast as the rotor shows it: a deficit that stands already did
+ * not begin with them. */
 static double find_deficit(struct command_response *drive, const struct load_spread *all,
                            const struct load_ratio *ratio, double least)
 {
     note_missing(drive, all, ratio, drive->load, least);
     const double p = deficit_probability(drive);
-    if (!(p > OPEN))
+    if (!(p > OPEN) || drive->deficit_s > 0.0)
         return p;
     note_missing(drive, all, ratio, drive->braked_load, least);
     const double slowed = deficit_probability(drive);

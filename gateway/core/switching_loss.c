@@ -188,6 +188,16 @@ static int is_comparable(const struct adhesion *a, int k, double all)
     return a->known[k] && ((a->loss_known[k] && a->comparable) || asked);
 }
 
+/* 1 if a drive beside drive k adheres and carries what it is asked for: then the commands are right,
+ * and no brake, hill or ramp explains what drive k is missing of its own. */
+static int another_answers(const struct adhesion *a, int k)
+{
+    for (int i = 0; i < a->n; i++)
+        if (i != k && holds(a, i) && answers(a, i))
+            return 1;
+    return 0;
+}
+
 /* Probability of a loss for the flags: above `raise_probability`, below
  * `clear_probability`, or UNDECIDED in between. any: a drive adheres. */
 static double verdict(const struct adhesion *a, int k, double all, int any, int bad,
@@ -196,8 +206,10 @@ static double verdict(const struct adhesion *a, int k, double all, int any, int 
     const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
     const struct drive_load *mine = &a->loads[k];
     double p = lost + adhering * all;
-    /* A wheel that has run away and stays behind its command, however slowly that developed. */
-    if (a->rotors[k].away && mine->response_valid)
+    /* A wheel that has run away and stays behind its command, however slowly that developed; or one
+     * that seems to, beside one that does not: what the comparison learnt of it may be a loss. */
+    const int seems_lost = mine->p_response >= UNDECIDED && another_answers(a, k);
+    if (mine->response_valid && (a->rotors[k].away || seems_lost))
         p = larger(p, mine->p_response);
     /* If no drive adheres, the demand may be anything: then a drive that carries what it is asked
      * for adheres. */

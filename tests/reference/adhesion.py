@@ -257,7 +257,9 @@ class Adhesion:
                 continue
             uncertain = int(rotor["uncertain"])
             p = lost[k] + adhering[k] * everyone
-            if rotor["away"] and valid[k]:
+            beside = np.flatnonzero(holding & self.carried & full)
+            seems_lost = alone[k] >= lib.UNDECIDED and np.any(beside != k)
+            if valid[k] and (rotor["away"] or seems_lost):
                 p = max(p, alone[k])
             behind = valid[k] and alone[k] >= self.rules.raise_probability
             if self.carried[k] and full[k] and not holding.any():

@@ -112,9 +112,9 @@ def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Fla
         return np.where((least >= LEAST_COMMAND) & heard.usable, p, 0.0)
 
     lost = behind(heard.load)
-    # Friction brakes may slow the rotor, not a loss.
+    # Friction brakes may slow the rotor, not a loss; not one that stood before they could.
     slowed = behind(heard.braked)
-    braked = (lost > OPEN) & (slowed <= OPEN)
+    braked = (lost > OPEN) & (slowed <= OPEN) & (memory.since_s == 0.0)
     lost = np.where(braked, slowed, lost)
     gone = least - sign * heard.load
     freed = (gone >= LARGE * least) & (sign * heard.excess >= FREED * gone)
