@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
-from dbc.text import number_or_nan
 from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
@@ -98,7 +98,10 @@ def short_of(known: Shares, wanted: Mapping[str, float]) -> list[str]:
 
 def percentage(text: str) -> float:
     """Parse a share in percent. Raises ArgumentTypeError unless it is 0 to 100."""
-    share = number_or_nan(text)
+    try:  # not `number_or_nan`: pytest reads its options before a user's `dbc.py` is known
+        share = float(text)
+    except ValueError:
+        share = math.nan
     if not 0.0 <= share <= 100.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a percentage: expected 0 to 100")
     return share
