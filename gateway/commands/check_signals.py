@@ -15,18 +15,18 @@ def signal_lines(planned: Sequence[Plan]) -> list[str]:
     """Lines of all drives of other makers; those with the same signals share theirs."""
     alike: dict[tuple[str, ...], list[Plan]] = {}
     for plan in planned:
-        alike.setdefault((*_sources(plan), *_limits(plan), *_codes(plan)), []).append(plan)
-    lines = []
-    for shared, plans in alike.items():
+        lines = (plan.signals.dbc, *_sources(plan), *_limits(plan), *_codes(plan))
+        alike.setdefault(lines, []).append(plan)
+    out = []
+    for (dbc, *shared), plans in alike.items():
         nodes = [plan.node for plan in plans]
         in_a_row = len(nodes) > 2 and nodes == list(range(nodes[0], nodes[-1] + 1))
         which = f"{nodes[0]}-{nodes[-1]}" if in_a_row else ", ".join(map(str, nodes))
         whose = f"drive{'s' * (len(nodes) > 1)} {which}"
         offsets = ", ".join(f"{plan.signals.id_offset:#x}" for plan in plans)
-        first = f"{plans[0].signals.dbc}, identifiers moved by {offsets}"
-        lines.append(f"{whose:<14} {first}")
-        lines += [f"{'':<14} {line}" for line in shared]
-    return lines
+        out.append(f"{whose:<14} {dbc}, identifiers moved by {offsets}")
+        out += [f"{'':<14} {line}" for line in shared]
+    return out
 
 
 def _sources(plan: Plan) -> Iterator[str]:

@@ -108,3 +108,19 @@ def test_check_proposes_codes_where_nothing_says_them(tmp_path, capsys):
     path.write_text(text + f'Tstator = {named}\nTde = "Tmp.Bearing"\n')
     main(["check", str(path), "--no-timing"])
     assert "Tstator: raw" not in capsys.readouterr().out
+
+
+def test_drives_share_their_lines_only_if_they_share_a_dbc(tmp_path, capsys):
+    temperatures(tmp_path, [100])
+    (tmp_path / "two.dbc").write_text((tmp_path / "one.dbc").read_text())
+    drives = [
+        f'[[drive]]\nnode = {node}\n[drive.signals]\ndbc = "{dbc}.dbc"\nid_offset = {16 * node}\n'
+        '[drive.signals.use]\nTstator = "Tmp.Motor"\n'
+        for node, dbc in ((1, "one"), (2, "two"), (3, "one"))
+    ]
+    path = tmp_path / "train.toml"
+    path.write_text("".join(drives))
+    main(["check", str(path), "--no-timing"])
+    printed = capsys.readouterr().out
+    assert "drives 1, 3    one.dbc, identifiers moved by 0x10, 0x30\n" in printed
+    assert "drive 2        two.dbc, identifiers moved by 0x20\n" in printed
