@@ -39,10 +39,12 @@ TEXT: Final = """\
 
 `python -m bench.ablation --seeds {seeds}`: in each row one part of `switching` is removed, by a
 change of one line of the core. All kinds of runs of a world are pooled, on development seeds.
-Columns: F1; share of the lost time that says `Adhering` (dangerous, %); share of the healthy time
-that says `AdhesionLost` (false, %); share of the healthy time that says `Adhering` (%).
+Columns: F1; dangerous, the share of the lost time in which the flag is `Adhering` (%); false, the
+share of the healthy time in which it is `AdhesionLost` (%); the share of the healthy time in which
+it is `Adhering` (%).
 
-A part whose row equals the first one does not act in these runs. Below the table is where it acts.
+A part whose row equals the first one has no effect in these runs.
+[Below the table](#where-other-parts-act) are runs in which it has one.
 """
 ELSEWHERE: Final = """\
 

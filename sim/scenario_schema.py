@@ -21,7 +21,7 @@ Span = Annotated[
 Number = Annotated[float, within(-1e6, 1e6, "", "too large for a train: check its unit")]
 Positive = Annotated[float, within(1e-7, 1e6, "", "a parameter of the motor, in SI units")]
 Points = Annotated[list[tuple[Time, Number]], Field(min_length=1)]
-Factor = Annotated[float, within(0.01, 100, "", "a factor, 1 leaves the number as it is")]
+Factor = Annotated[float, within(0.01, 100, "", "a factor; 1 changes nothing")]
 Factors = Factor | list[Factor]
 """One number for all drives, or one per drive."""
 Within = Annotated[float, Field(ge=0, lt=1)]

@@ -85,7 +85,7 @@ class Pattern(Format):
         times = [name for name in names if name in _UNITS]
         for name in names:
             if names.count(name) > 1:
-                raise PatternError(f"{{{name}}} stands twice in {pattern!r}")
+                raise PatternError(f"{{{name}}} is given twice in {pattern!r}")
         if len(times) != 1 or "id" not in names or "data" not in names:
             needed = "one time ({s}, {ms}, {us}, {ns}, {clock} or {date}), one {id} and one {data}"
             raise PatternError(f"{pattern!r} needs {needed}")

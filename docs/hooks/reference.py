@@ -98,10 +98,7 @@ def commands() -> str:
     out = [
         "# Commands",
         "",
-        "Exit codes: 0 good, 1 an expectation failed or more than 1 % of a log was dropped, 2 bad "
-        "input or configuration, 130, 143, 141 ended by Ctrl-C, SIGTERM, a broken pipe. `run` and "
-        "`monitor` end with 0 after a signal: it is how they are stopped. Ctrl-C before "
-        "they are ready gives 130.",
+        "[Exit codes](../codes.md#exit-codes) are the same for all verbs.",
         "",
     ]
     for verb in cli.VERBS:
@@ -132,8 +129,27 @@ def configuration() -> str:
         "authentication": config.Authentication,
     }  # fmt: skip
     for name, model in sections.items():
-        out += [f"## [{name}]", "", _about(model), "", *_table(model), ""]
+        comments = _comments(example, name.removesuffix(".NAME"))
+        out += [f"## [{name}]", "", _about(model), "", *_table(model, comments), ""]
     return "\n".join(out)
+
+
+def _comments(example: str, section: str) -> dict[str, str]:
+    """What the commented example says of each key of a section."""
+    found: dict[str, str] = {}
+    here, last = False, ""
+    for line in example.splitlines():
+        if head := re.match(r"(?:# )?\[+(\w+)", line):
+            here, last = head[1] == section, ""
+        elif key := re.match(r"(?:# )?(\w+) = .*?\s#\s(.*)", line):
+            last = key[1] if here and key[1] not in found else ""
+            if last:
+                found[last] = key[2]
+        elif last and (more := re.match(r"\s{8,}#\s(.*)", line)):
+            found[last] += " " + more[1]
+        else:
+            last = ""
+    return found
 
 
 def scenario_page() -> str:
@@ -167,14 +183,20 @@ def _about(model: type[BaseModel]) -> str:
     return inspect.getdoc(model) or ""
 
 
-def _table(model: type[BaseModel]) -> list[str]:
-    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
+def _table(model: type[BaseModel], comments: dict[str, str] | None = None) -> list[str]:
+    """A row for each key; without meanings if the text above the table has them all."""
+    rows = [["key", "type", "default", "meaning"]]
     for name, field in model.model_fields.items():
         if field.exclude:
             continue
-        cells = (f"`{field.alias or name}`", _type(field), _default(field), field.description or "")
-        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return rows
+        key = field.alias or name
+        meaning = (comments or {}).get(key) or field.description or ""
+        if not meaning and _words(field.annotation).endswith("table"):
+            meaning = f"See the section `{key}` below."
+        rows.append([f"`{key}`", _type(field), _default(field), meaning])
+    width = 4 if any(row[3] for row in rows[1:]) else 3
+    lines = ["| " + " | ".join(c.replace("|", "\\|") for c in row[:width]) + " |" for row in rows]
+    return [lines[0], "|" + "---|" * width, *lines[1:]]
 
 
 def _type(field: FieldInfo) -> str:

@@ -50,5 +50,5 @@ def _print_timing(times_us: list[float], period_us: float) -> None:
     p50, p99 = (ordered[int(len(ordered) * q)] for q in (0.5, 0.99))
     print(
         f"timing         a tick takes {p50:.0f} us of {period_us:.0f} us "
-        f"({100 * p50 / period_us:.0f} %), p99 {p99:.0f} us, longest {ordered[-1]:.0f} us, here"
+        f"({100 * p50 / period_us:.0f} %), p99 {p99:.0f} us, longest {ordered[-1]:.0f} us"
     )

@@ -143,7 +143,7 @@ def pattern_of(log: Path, line: str | None) -> str:
             f"{log}: no pattern fits its first lines", [f"the first one: {shown_line}", cure]
         )
     total = found.good + found.bad
-    print(f"--line '{found.pattern}': fits {found.good} of {total} lines looked at")
+    print(f"--line '{found.pattern}': fits {found.good} of {total} lines examined")
     if found.assumed:
         print(f"assumed: {found.assumed}; if that is wrong, correct the pattern")
     return found.pattern

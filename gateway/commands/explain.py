@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
 
         names = [one.name for one in explanations.ALL]
         near = [match for word in unknown for match in get_close_matches(word, names, 1)]
-        cure = f"did you mean {', '.join(near)}?" if near else "without a code it prints all"
+        cure = f"did you mean {', '.join(near)}?" if near else "`explain` without a code prints all"
         raise ConfigError("explain", [f"no code {', '.join(unknown)}", cure])
     print(explanations.text([one for word in options.code for one in explanations.named(word)]))
     return GOOD

@@ -39,7 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--partition", type=_parts, default=(), metavar="KEYS",
                         help="day,train: estimates/day=2026-11-28/train=NAME/")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
-    parser.add_argument("--force", action="store_true", help="replay logs again that are done")
+    parser.add_argument("--force", action="store_true", help="also replay logs that are done")
 
 
 def _parts(text: str) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, metavar="N",
                         help="adhesion: seed of noise and start angles")  # fmt: skip
     parser.add_argument("--resume", action="store_true",
-                        help="thermal: go on where a run into this folder was stopped")  # fmt: skip
+                        help="thermal: continue the stopped run of this folder")  # fmt: skip
 
 
 def _seed(text: str) -> int:

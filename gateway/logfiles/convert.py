@@ -67,7 +67,7 @@ def out_ending(path: Path, frames: bool) -> str:
     kind = ending(path)
     if kind not in FRAMES + SIGNALS:
         raise ConfigError(
-            f"{path}: nothing is written with the ending {kind or '(none)'!r}",
+            f"{path}: cannot write a file with the ending {kind or '(none)'!r}",
             [f"frames: {' '.join(FRAMES)}", f"signals: {' '.join(SIGNALS)}"],
         )
     if frames and kind == ".csv.gz":

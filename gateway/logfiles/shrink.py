@@ -158,7 +158,7 @@ class _Log:
         done = replay(self._blocks(), self.new, self.period_ns, sink)
         at_s, span_s = self._wanted.at_s, (done.last_ns - done.first_ns) / SECOND
         if at_s > span_s + NEAR_NS / SECOND:
-            raise BadLogError(f"{at_s:g} s is outside of the log, which has {span_s:.3f} s")
+            raise BadLogError(f"--flag: {at_s:g} s is after the end of the log, {span_s:.3f} s")
         at_ns = done.first_ns + round(at_s * SECOND)
         found.sort(key=lambda change: abs(change.now_ns - at_ns))
         if abs(found[0].now_ns - at_ns) > NEAR_NS:

@@ -69,7 +69,7 @@ class Bus(Strict):
         None, description="channels on which the gateway may send; None: the one it is given"
     )
     on_intruder: Literal["unknown", "stop", "go_on", "tell"] | None = Field(
-        None, description="when somebody else sends with the gateway's identifiers"
+        None, description="when another node sends with the gateway's identifiers"
     )
     """None: "unknown"; "tell" where flags are authenticated."""
 
@@ -209,9 +209,11 @@ class Adhesion(Extended):
     false_alarms_per_1000_h: (
         Annotated[float, within(0.001, 60_000, "", "per 1000 h of operation; needs fault_free")]
         | None
-    ) = Field(None, description="None: none stated")
+    ) = Field(None, description="stated rate for the train; needs `fault_free`")
     """The time after which a loss is flagged follows: `estimators.adhesion_promise`."""
-    fault_free: FaultFree | None = Field(None, description="measured for this rate")
+    fault_free: FaultFree | None = Field(
+        None, description="what `calibrate --adhesion` has printed"
+    )
 
     @property
     def promise(self) -> Promise | None:
@@ -257,7 +259,7 @@ class Thermal(Extended):
     clear_s: Seconds = 5.0
     false_alarms_per_1000_h: (
         Annotated[float, within(0.001, 1000, "", "per 1000 h of operation: 1 is usual")] | None
-    ) = Field(None, description="of the thermal model; None: none stated")
+    ) = Field(None, description="stated rate of the thermal model")
     """The alarm limit follows from this rate: `estimators.thermal.promise`."""
 
 

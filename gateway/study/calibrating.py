@@ -160,9 +160,9 @@ class Learner:
         shortest = round(min(len(run.at) for run in runs) * self.dt_s)
         if shortest < FEWEST_SECONDS * self.dt_s:
             return [
-                f"the shortest run with all values known has {shortest} s, "
-                f"{FEWEST_SECONDS * self.dt_s:g} s needed (a single log is split: {FIT_SHARE:.0%} "
-                "for the fit)"
+                f"all values are known for {shortest} s of the shortest run, at least "
+                f"{FEWEST_SECONDS * self.dt_s:g} s are needed (of a single log, {FIT_SHARE:.0%} "
+                "are used for the fit)"
             ]
         return ["the currents never varied: record a changing duty"]
 

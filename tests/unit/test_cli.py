@@ -220,13 +220,13 @@ def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
     assert main(["sim", str(healthy), "-o", str(log)]) == 0
     cells = tmp_path / "cells.toml"
     said = refused("calibrate", log, "-o", cells)
-    assert " s, 300 s needed (a single log is split: 70%" in said, "too short for a model"
+    assert "at least 300 s are needed (of a single log, 70%" in said, "too short for a model"
     assert not cells.exists()
     assert main(["calibrate", str(log), "-o", str(cells), "--without-model"]) == 0
     config = tmp_path / "c.toml"
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
     printed = capsys.readouterr()
-    assert "no thermal model because the shortest run with all values known has" in printed.out
+    assert "no thermal model because all values are known for" in printed.out
     found = re.search(
         r"warning: the limits come from (\d+) s of temperatures, 300 s needed", printed.err
     )

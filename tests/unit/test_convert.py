@@ -384,7 +384,7 @@ def inputs(tmp_path_factory):
     ("log", "out", "words", "said"),
     [
         ("in.log", "in.log", [], "is the file of `log` too"),
-        ("in.log", "out.xyz", [], "nothing is written with the ending"),
+        ("in.log", "out.xyz", [], "cannot write a file with the ending"),
         ("in.log", "out", [], "(none)"),
         ("in.log", "folder.csv", [], "is a folder"),
         ("none.log", "out.csv", [], "no such file"),

@@ -246,7 +246,7 @@ def test_fields_in_any_order(tmp_path):
 @pytest.mark.parametrize(
     ("pattern", "why"),
     [("{id} {data}", "needs one time"), ("{s} {ms} {id} {data}", "needs one time"),
-     ("{s} {id} {id} {data}", "{id} stands twice"), ("{s} {ident} {data}", "{ident}"),
+     ("{s} {id} {id} {data}", "{id} is given twice"), ("{s} {ident} {data}", "{ident}"),
      ("{s} {id} {data", "is no field")],
 )  # fmt: skip
 def test_patterns_that_cannot_be_used(pattern, why):

@@ -208,5 +208,5 @@ def test_what_was_assumed_is_printed(tmp_path, capsys):
     path.write_text("".join(f"{k}0 181 3 02 A0 03\n" for k in range(12)))
     assert convert(path, "--line", "auto") == 0
     out = capsys.readouterr().out
-    assert "--line '{ms} {id} {dlc} {data}': fits 12 of 12 lines looked at" in out
+    assert "--line '{ms} {id} {dlc} {data}': fits 12 of 12 lines examined" in out
     assert "assumed: times are whole numbers, mostly 10 apart: taken for ms" in out

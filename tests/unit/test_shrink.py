@@ -239,7 +239,7 @@ def test_ddmin_keeps_what_is_needed_and_nothing_else(needed, size):
 @pytest.mark.parametrize(("flag", "text"), [
     ("adhesion:2@1.0", "does not change within 0.05 s of 1 s; the nearest changes are at 0.000"),
     ("adhesion:7@0.8", "no drive 7; the configuration has 1, 2, 3"),
-    ("adhesion:2@9", "9 s is outside of the log, which has 2.399 s"),
+    ("adhesion:2@9", "9 s is after the end of the log, 2.399 s"),
     ("thermal:2@0", "no change to test"),
 ])  # fmt: skip
 def test_a_flag_that_is_not_there_is_refused_with_what_there_is(tmp_path, capsys, flag, text):
