@@ -233,7 +233,7 @@ def page(found: dict[str, list[Measured]], seeds: str) -> Iterator[str]:
         row = [cell for world in found.values() for cell in cells(world[k])]
         if removal is not None and removal.group != (REMOVALS[k - 2].group if k > 1 else ""):
             yield f"| **{removal.group}** |{' |' * len(names)}"
-        yield f"| {removal.name if removal else 'nothing: as it is'} | {' | '.join(row)} |"
+        yield f"| {removal.name if removal else '(nothing)'} | {' | '.join(row)} |"
     yield ELSEWHERE
     yield from (f"- {each.name}: {each.elsewhere}" for each in REMOVALS if each.elsewhere)
 

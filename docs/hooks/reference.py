@@ -209,9 +209,9 @@ def _words(kind: typing.Any) -> str:
     if origin is typing.Annotated:
         return _words(args[0]) + _limits(_rules(args[1:]))
     if origin is typing.Literal:
-        return " | ".join(f'"{value}"' for value in args)
+        return " or ".join(f'"{value}"' for value in args)
     if origin in (typing.Union, types.UnionType):
-        return " | ".join(_words(part) for part in args if part is not types.NoneType)
+        return " or ".join(_words(part) for part in args if part is not types.NoneType)
     if origin is tuple and len(set(args)) == 1:
         return f"{len(args)} x {_words(args[0])}"
     if origin in (list, tuple):

@@ -15,9 +15,9 @@ EXITS = """
 
 | code | meaning |
 |---|---|
-| 0 | success; `run` and `monitor` end with it, too, when a signal stops them |
+| 0 | success; also `run` and `monitor` stopped by a signal (130 before they are ready) |
 | 1 | an expectation failed, or more than 1 % of a log was left out |
-| 2 | bad input; `check`: a loss would not be found; `hil`, `sim`: no such bus |
+| 2 | bad input; `check`: a loss is not found, the log does not fit; `hil`, `sim`: no such bus |
 | 3 | inconclusive: `hil` on a bus that this machine could not keep up with |
 | 130, 143, 141 | ended by Ctrl-C, SIGTERM, a broken pipe |
 """

@@ -109,7 +109,9 @@ def test_each_drive_and_signal_has_its_line():
 def test_too_short_a_log_and_a_duty_that_never_changes():
     assert learner(0).lacks() == ["no second with temperatures"]
     (line,) = learner(700).lacks()
-    assert "has 210 s, 300 s needed" in line, "the rest of it is to fit"
+    assert "for 210 s of the shortest run, at least 300 s are needed" in line, (
+        "the rest of it is to fit"
+    )
     (line,) = learner(1200, square=np.full(2, 4.0)).lacks()
     assert "record a changing duty" in line
 
