@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         runs += rides
     own = [one for one in runs if one.controller == runs[0].controller]
     mean = 100.0 * sum(one.score.score for one in own) / len(own)
-    print(f"{own[0].controller}: {mean:.1f} % over {len(own)} tracks")
+    print(f"{own[0].controller}: {mean:.1f} %, tracks: {len(own)}")
     if options.output is not None:
         print(f"report: {leave(options.output, runs, own[0].controller)}")
     low = options.expect_score or 0.0
