@@ -94,7 +94,7 @@ def _is_key(part: int | str) -> bool:
 
 
 def _cure(item: Mapping[str, Any]) -> str:
-    """What to write instead, where that is not said by what was expected."""
+    """What to write instead, if the expected values do not show it."""
     path = ".".join(str(part) for part in item["loc"] if isinstance(part, str))
     if item["type"] in _TABLE and not isinstance(item["input"], list):
         return f": write [{path}], and its keys below"

@@ -171,7 +171,7 @@ def replay(
     config: a file, a `Config`, or None for three drives on nodes 1 to 3. channel: one of several.
     detector: a name of `detectors`, or one of your own: called with an `Evidence`, it returns an
     `Opinion`; the configuration then names `median`. start: a start record of `traction-gateway
-    shrink`, from which the gateway goes on.
+    shrink`, from which the gateway continues.
     Raises InputError or OSError.
     """
     own = None if detector is None or isinstance(detector, str) else detector

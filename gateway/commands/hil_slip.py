@@ -97,7 +97,7 @@ def _device(options: argparse.Namespace) -> Callable[[Track], Run]:
 
 
 def _from_file(path: Path, function: str) -> Controller:
-    """The user's own controller, loaded anew for each track. Raises ConfigError."""
+    """The user's own controller, loaded again for each track. Raises ConfigError."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
         raise ConfigError("--controller", [f"{path}: no Python file"])

@@ -27,7 +27,7 @@ STEPS: Final = 4
 """Progress steps of `reproduce` beside the trains of both bases."""
 MOST_JOBS: Final = 4
 FILE: Final = "trains.jsonl"
-"""Finished trials, train by train, with which a stopped reproduction goes on."""
+"""Finished trials, train by train, from which a stopped reproduction continues."""
 _Row = tuple[str, Score]
 """Method and score."""
 

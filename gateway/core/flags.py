@@ -26,7 +26,7 @@ from dbc.records import (
 from gateway.core.codes import NEVER, Flag, Reason
 
 UNCHANGED: Final[int] = lib.FLAG_UNCHANGED
-"""In place of evidence: the flag stays as it is, and the tick does not count."""
+"""In place of evidence: the flag is unchanged, and the tick does not count."""
 
 
 class FlagKind(IntEnum):

@@ -24,7 +24,7 @@ ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
 SAMPLES = "Samples"
 SLOW = ("Motion", "Status", "Temperatures")
 MAX_GAP_NS: Final[Nanos] = 200_000_000
-"""After a longer time without a sample the filter starts anew instead of coasting."""
+"""After a longer time without a sample the filter restarts instead of predicting."""
 USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
 OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})

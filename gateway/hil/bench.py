@@ -39,7 +39,7 @@ class Tick(NamedTuple):
 
 
 def unaltered(frames: list[Frame], _now: Nanos) -> list[Frame]:
-    """The gateway as it is."""
+    """The unmodified gateway."""
     return frames
 
 

@@ -153,7 +153,7 @@ class Links:
         self._advice: list[str] = []
 
     def start(self) -> bool:
-        """Ask once, then go on in the thread. False where netlink is not allowed."""
+        """Query once, then continue in the thread. False where netlink is not allowed."""
         if self._thread is not None:
             return True
         try:

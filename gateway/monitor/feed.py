@@ -27,7 +27,7 @@ PERIOD_S: Final = 0.1
 IDLE_S: Final = 1.0
 """Interval at which a picture without changes is sent, as a sign of life."""
 LONGEST_S: Final = 0.5
-"""Most time that a log advances in a poll, so that it does not jump if the machine stood still."""
+"""Most time that a log advances in a poll, so that it does not jump if the machine stalls."""
 SLOWEST, FASTEST = 0.1, 100.0
 SHORTENED: Final = 4
 """Significant digits of the points of the traces, which are the largest part of a message."""

@@ -105,7 +105,7 @@ LARGE: Final = Motor(
     R_s=0.12, L_s=2.0e-3, psi_pm=0.40, pole_pairs=4, J=0.12, I_rated=50.0, T_rated=120.0,
     U_dc=560.0,
 )  # fmt: skip
-"""A larger drive, for tests that no number is tied to the bench motor."""
+"""A larger drive; with it, tests check that no constant is tied to the bench motor."""
 TRACTION_350KW: Final = Motor(
     R_s=0.08, L_s=3.02e-3, psi_pm=1.104, pole_pairs=2, J=11.0, I_rated=240.4, T_rated=796.0,
     U_dc=2600.0,

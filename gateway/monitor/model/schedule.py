@@ -12,7 +12,7 @@ DRIFT: Final = 100e-6
 """Largest relative drift between the clocks of sender and monitor."""
 COUNTERS: Final = 16
 ANEW_NS: Final[Nanos] = SECOND // 10
-"""After this time without a frame, or with a larger lateness, the grid is found anew."""
+"""After this time without a frame, or with a larger lateness, the grid is determined again."""
 
 
 class Schedule:
