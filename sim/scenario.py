@@ -205,9 +205,7 @@ class Scenario(Strict):
     seed: Annotated[int, within(0, 2**64 - 1, "", "a whole number of 64 bits")] = Field(
         1, description="Of everything random. The same seed gives the same run."
     )
-    duration_s: Annotated[float, within(0.01, 1e7, "s", "a tick is 0.01 s")] = Field(
-        description="Duration of the run."
-    )
+    duration_s: Annotated[float, within(0.01, 1e7, "s", "a tick is 0.01 s")]
     drives: int = Field(3, ge=1, le=MAX_DRIVES, description="Simulated drives, numbered from 1.")
     traffic: Literal["full", "slow"] = Field(
         "full",

@@ -42,6 +42,7 @@ COMMITTED = ("scenarios", "configuration", "messages")
 """Pages in docs/reference that other pages refer to."""
 SIGNS = {Gt: ">", Ge: ">=", Lt: "<", Le: "<="}
 BOUNDS = {Gt: "gt", Ge: "ge", Lt: "lt", Le: "le"}
+TOP = {"duration_s": "Duration of the run."}
 NUMBERED = "Drive1_"
 _NUMBERED = re.compile("(Adhesion|Thermal)([2-9]|1[0-6])")
 """Of sixteen alike drives and flags the first stands for all."""
@@ -162,7 +163,7 @@ def scenario_page() -> str:
         "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1.",
         "",
     ]
-    out += ["## Top level", "", *_table(scenario.Scenario), ""]
+    out += ["## Top level", "", *_table(scenario.Scenario, TOP), ""]
     for name, part in (("event", scenario.Event), ("expect", scenario.Expect)):
         out += [f"## [[{name}]]", "", _about(part), "", *_table(part), ""]
     for name, field in scenario.Scenario.model_fields.items():

@@ -211,9 +211,7 @@ class Adhesion(Extended):
         | None
     ) = Field(None, description="stated rate for the train; needs `fault_free`")
     """The time after which a loss is flagged follows: `estimators.adhesion_promise`."""
-    fault_free: FaultFree | None = Field(
-        None, description="what `calibrate --adhesion` has printed"
-    )
+    fault_free: FaultFree | None = Field(None, description="printed by `calibrate --adhesion`")
 
     @property
     def promise(self) -> Promise | None:
