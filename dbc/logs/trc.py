@@ -89,8 +89,7 @@ class Trc(Format):
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times since 1970, from those since the start of the log."""
-        del timed
-        if self._bare:
+        if self._bare and timed.any():
             self.notes.append(f"there is no $FILEVERSION: read as {self._bare}, with times in ms")
             self._bare = ""
         return times + self._start_ns
