@@ -49,6 +49,8 @@ _KVASER: Final = ["time", "channel", "id", "flags", "dlc"]
 """First columns of a CSV that Kvaser's converter writes from a Memorator's log."""
 _KVASER_BITS: Final = ((1, REMOTE), (4, EXTENDED), (0x20, ERROR), (0x40, TX), (0x10000, FD),
                        (0x20000, BRS), (0x40000, ESI))  # fmt: skip
+_ROS: Final = {"isrtr", "isextended", "iserror", "dlc"}
+"""Columns of ROS' can_msgs/Frame, all of whose numbers are decimal."""
 _BASE: Final = re.compile(r"Format of (id|data) field\W+(HEX|DEC)\b")
 _SPREADSHEET: Final = re.compile(r"\b\d[.,]\d+E\+\d+")
 _BAD_TIMES: Final = 100
@@ -118,6 +120,8 @@ class Csv(Format):
         if self._kvaser:
             self._decimal = self._bases.get("id") == "DEC"
             self._decimal_bytes = self._bases.get("data") == "DEC"
+        elif set(plain) >= _ROS:
+            self._decimal = self._decimal_bytes = True
         elif self._split:
             self._see_decimals()
 
@@ -135,6 +139,8 @@ class Csv(Format):
             at = (self.order or range(len(rows[0])))[1 + self._head.index("id")]
             self._decimal = all(row[at].strip(' "').isdecimal() for row in rows)
             self.notes.append(f"bytes {'and identifiers ' * self._decimal}are decimal numbers")
+        elif words and all(whole):
+            self.notes.append("numbers are read as hexadecimal: no byte has a letter or 3 digits")
 
     def _cells(self, text: str, length: int) -> list[str]:
         """Cells of the columns of bytes: as many as `length`, -1 for all that are not empty."""

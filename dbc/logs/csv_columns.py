@@ -6,10 +6,10 @@ import re
 from typing import Final, NamedTuple
 
 _NAMES: Final = {
-    "time": "timestamp time timestampepoch t abstime offset timeabs",
+    "time": "timestamp time timestampepoch t abstime offset timeabs relative",
     "id": "arbitrationid id canid identifier messageid msgid arbid addr address",
     "extended": "extended ide ext isextended isextendedid xtd",
-    "remote": "remote rtr isremote isremoteframe remoteedlbrsesi",
+    "remote": "remote rtr isrtr isremote isremoteframe remoteedlbrsesi",
     "error": "error iserror iserrorframe er",
     "fd": "fd edl isfd",
     "brs": "brs bitrateswitch",
@@ -26,7 +26,9 @@ _NAMES: Final = {
 _KIND: Final = {name: kind for kind, names in _NAMES.items() for name in names.split()}
 _BYTE: Final = re.compile(r"(?:d|b|data|byte)(\d{1,2})")
 UNIT: Final = re.compile(r"[\[(_ ](ns|us|µs|ms|s|sec|seconds)[\])]?$")
-_HEX_TITLE: Final = re.compile(r" *\(hex\)$")
+_HEX_TITLE: Final = re.compile(r"(?:[ _]+|\b)\(?hex\)?$")
+_DOTTED: Final = re.compile(r"(?:\w+\.)+(?=\w+$)")
+"""Names of the records around a column, as ROS writes them: `field.id`."""
 
 
 class Columns(NamedTuple):
@@ -44,9 +46,13 @@ def columns_of(text: str) -> Columns | None:
         return None
     separator = max(",;\t", key=text.count)
     titles = [title.strip().strip('"').lower() for title in text.split(separator)]
-    titles = [_HEX_TITLE.sub("", title) for title in titles]
+    marked = [_HEX_TITLE.search(title) is not None for title in titles]
+    titles = [_DOTTED.sub("", _HEX_TITLE.sub("", title)) for title in titles]
     plain = [re.sub(r"[^a-z0-9]", "", UNIT.sub("", title)) for title in titles]
     kinds = [_KIND.get(name, "byte" if _BYTE.fullmatch(name) else "") for name in plain]
+    # A column that is hexadecimal by its title stands for the same one in decimal.
+    known = {kind for kind, is_hex in zip(kinds, marked, strict=True) if is_hex}
+    kinds = [k if m or k not in known else "" for k, m in zip(kinds, marked, strict=True)]
     if not {"time", "id"} <= set(kinds) or not {"data", "byte"} & set(kinds):
         return None
     return Columns(separator, titles, plain, kinds)

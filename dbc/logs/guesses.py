@@ -37,7 +37,8 @@ _COLUMNS: Final = (
     "type id dlc data", "id type dlc data", "channel type id dlc data", "channel id type dlc data",
     "type id data", "id type data", "channel type id data", "channel id type data",
     "dir type id dlc data", "type id dir dlc data", "channel id type dir dlc data",
-    "dir id [dlc] data", "channel dir id [dlc] data", "id dlc data dir",
+    "dir id [dlc] data", "channel dir id [dlc] data", "id dlc data dir", "id: data",
+    "channel dir skip skip id [dlc] data",
 )  # fmt: skip
 _COLUMN: Final = re.compile(r"\b(id|dlc|data|channel|dir|skip|type)\b")
 _TYPE: Final = r"(?<![^\s,;])(?:[SX]|STD|EXT|SFF|EFF)(?![^\s,;])"
@@ -78,7 +79,7 @@ def guesses(lines: Sequence[str]) -> Iterator[str]:
         if ("dir" in names.split(), "type" in names.split()) == (directed, typed)
     ]
     if not _most(lines, rf".*{_KIND}"):
-        columns = [names for names in columns if "skip" not in names]
+        columns = [names for names in columns if "skip" not in names or "[" in names]
     for time, sep in product(_times_in(bare), _separators_in(lines)):
         start = f"{{skip}}{sep}{time}" if numbered else time
         yield from (start + sep + _fields(names, sep) for names in columns)

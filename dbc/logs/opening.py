@@ -90,7 +90,7 @@ def _by_pattern(pattern: str, path: Path) -> Callable[[], Format]:
     """A function that makes formats for lines of this pattern. Raises PatternError."""
     from dbc.logs.dialects import format_of
 
-    lines = [line.decode("latin-1") for line in first_lines(path)]
+    lines = _first_texts(path)
     format_of(pattern)
     return lambda: format_of(pattern, lines)
 
@@ -100,15 +100,15 @@ def _format(kind: str, path: Path) -> Callable[[], Any] | None:
         from dbc.logs.asc import Asc
 
         return Asc
+    texts = _first_texts(path) if kind in TEXT else []
     if kind == ".trc":
         from dbc.logs.trc import Trc
 
-        return Trc
+        return lambda: Trc(texts)
     if kind == ".csv":
         from dbc.logs.csv import Csv
 
-        lines = [line.decode("latin-1") for line in first_lines(path)]
-        return lambda: Csv(lines)
+        return lambda: Csv(texts)
     if "{" in kind:
         return _by_pattern(kind, path)
     return None
@@ -143,6 +143,10 @@ def first_lines(path: Path) -> list[bytes]:
     return text[:end].splitlines()[:LINES]
 
 
+def _first_texts(path: Path) -> list[str]:
+    return [line.decode("latin-1") for line in first_lines(path)]
+
+
 def _by_content(path: Path) -> str:
     """The ending that fits the content, a pattern of its lines, or "" for candump's text."""
     with path.open("rb") as stream:
@@ -161,8 +165,11 @@ def _by_content(path: Path) -> str:
     from dbc.logs.csv_columns import is_header
     from dbc.logs.dialects import BUSMASTER, BUSMASTER_MARK
     from dbc.logs.proposals import recognised
+    from dbc.logs.trc import BARE
 
-    texts = [line.decode("latin-1") for line in lines]
+    texts = _first_texts(path)
+    if sum(map(bool, map(BARE.match, texts))) * 2 > len(texts):
+        return ".trc"
     if any(is_header(text) for text in texts):
         return ".csv"
     if any(line.startswith(BUSMASTER_MARK) for line in lines[:5]):

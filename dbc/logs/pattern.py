@@ -266,7 +266,8 @@ def _regex(part: _Field | str, following: _Field | str) -> str:
         if part.form == _NUMBER and not str(following).startswith(","):
             return _NUMBER_OR_COMMA
         return f"(?:{part.form})" if part.name == "skip" else f"({part.form})"
-    if part.isspace() and isinstance(following, _Field) and following.name == "data":
-        return r"(?:[ \t]+|(?=\n|$))"
-    return "".join(r"[ \t]+" if piece.isspace() else re.escape(piece)
-                   for piece in re.split(r"(\s+)", part) if piece)  # fmt: skip
+    pieces = [r"[ \t]+" if piece.isspace() else re.escape(piece)
+              for piece in re.split(r"(\s+)", part) if piece]  # fmt: skip
+    if part[-1:].isspace() and isinstance(following, _Field) and following.name == "data":
+        pieces[-1] = r"(?:[ \t]+|(?=\n|$))"
+    return "".join(pieces)

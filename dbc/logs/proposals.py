@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from dbc.candump.grammar import Verdict
 from dbc.frame import EXTENDED
 from dbc.logs.dialects import DIALECTS, format_of
@@ -17,8 +19,10 @@ _WRONG_LENGTHS: Final = 20
 """A column is no length if it differs from the number of bytes in one of this many lines."""
 _LENGTH_BEFORE: Final = re.compile(r"\s*[0-9A-Fa-f][\s,;]+(?:0[xX])?[0-9A-Fa-f]{2}\b")
 
-_IDENTIFIER: Final = re.compile(r"[0-9A-Fa-f]{3,}")
+_IDENTIFIER: Final = re.compile(r"(?:[0-9A-Fa-f]{3,}|0[xX][0-9A-Fa-f]+):?")
 """A text that looks like an identifier, and so is not accepted as a channel's name."""
+_FALLS: Final = 3
+"""A column that falls in more than one of this many lines is no time."""
 
 
 class Fit(NamedTuple):
@@ -26,7 +30,8 @@ class Fit(NamedTuple):
 
     wrong_length: bad lines that would be frames with another length. length_in_data: frames whose
     data begin with one digit and continue with two, probably a length without a field in the
-    pattern. header: bad lines before the first frame. stamps: times of the frames.
+    pattern. header: bad lines before the first frame. stamps: times of the frames. falls: frames
+    whose time is earlier than that of the frame before.
     """
 
     good: int
@@ -35,13 +40,15 @@ class Fit(NamedTuple):
     wrong_length: int
     length_in_data: int
     stamps: tuple[str, ...]
+    falls: int
 
     @property
     def possible(self) -> bool:
-        """Whether most lines behind a header fit, and the pattern has the length in its place."""
+        """Whether most lines behind a header fit, and time and length are in their places."""
         most = self.good > self.bad - self.header
         lengths = self.wrong_length * _WRONG_LENGTHS < self.good + self.wrong_length
-        return most and self.good > 0 and lengths and self.length_in_data * 2 <= self.good
+        lengths = lengths and self.length_in_data * 2 <= self.good
+        return most and self.good > 0 and lengths and self.falls * _FALLS <= self.good
 
 
 class Proposal(NamedTuple):
@@ -77,7 +84,9 @@ def fit(pattern: str, lines: Sequence[str]) -> Fit:
         header = bad if frame and not good else header
         good += frame
         bad += not frame
-    return Fit(good, bad, header, wrong_length, length_in_data, tuple(stamps))
+    times = form.clock(form.times(stamps), np.ones(len(stamps), dtype=np.bool_))
+    falls = int(np.count_nonzero(np.diff(times) < 0))
+    return Fit(good, bad, header, wrong_length, length_in_data, tuple(stamps), falls)
 
 
 def _is_frame(form: Format, row: tuple[str, ...]) -> tuple[bool, bool]:

@@ -44,6 +44,8 @@ _NO_ID: Final = re.compile(r"[^0-9A-Fa-f]|^.{0,3}$|.{9}")
 _ZERO: Final = "FFFFFFFF"
 """The identifier of a status line of version 1.0."""
 _LINE: Final = re.compile(r"\d+\)?[ \t]+\S")
+BARE: Final = re.compile(r"\s*\d+(?:\)|\s+-?\d+\.\d+\s+(?:DT|F[DBE]|BI|RR|ER|ST|EC|EV)\s)")
+"""Start of a line of 1.x or 2.x, as no other recorder writes it."""
 _KEY: Final = re.compile(r";\$(\w+)=([^;]*)")
 
 
@@ -52,11 +54,17 @@ class Trc(Format):
 
     splits = True
 
-    def __init__(self) -> None:
-        """Start as for a log without a header: version 1.0."""
+    def __init__(self, lines: Sequence[str] = ()) -> None:
+        """Start as for a log without a header. lines: the first ones; they show its version."""
         self._start_ns = 0
         self._columns: list[str] = []
-        self._set("1.0")
+        self._bare = max(_VERSIONS, key=lambda version: self._fitting(version, lines))
+        self._set(self._bare)
+
+    def _fitting(self, version: str, lines: Sequence[str]) -> int:
+        """Number of lines with the columns of a version."""
+        self._set(version)
+        return sum(self.regex.match(line)[1] is not None for line in lines)  # type: ignore[index]
 
     def _set(self, version: str, columns: Sequence[str] = ()) -> None:
         """Set the columns of the lines. Raises KeyError for unknown versions or column sets."""
@@ -81,7 +89,9 @@ class Trc(Format):
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times since 1970, from those since the start of the log."""
-        del timed
+        if self._bare and timed.any():
+            self.notes.append(f"there is no $FILEVERSION: read as {self._bare}, with times in ms")
+            self._bare = ""
         return times + self._start_ns
 
     def head(self, parts: tuple[str, ...]) -> Head:
@@ -160,6 +170,7 @@ class Trc(Format):
     def _key(self, key: str, value: str) -> Verdict:
         """Apply `;$KEY=value` of the header."""
         try:
+            self._bare = ""
             if key == "FILEVERSION":
                 self._set(value)
             elif key == "STARTTIME":

@@ -95,7 +95,7 @@ def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     there = [spec for spec in specs if spec.key in of_log] if of_log else list(specs)
     found = guess.candidates(there)
     chosen = guess.chosen(found)
-    if not any(map(first_config.is_sure, chosen)):
+    if not any(one.sure for one in chosen):
         where = f" that are in {options.log}" if of_log else ""
         raise ConfigError(
             str(dbc),
@@ -114,7 +114,7 @@ def _shared(
 ) -> Shared:  # fmt: skip
     from gateway.mapping import first_config, guess
 
-    sure = [g.message for g in chosen if first_config.is_sure(g)]
+    sure = [g.message for g in chosen if g.sure]
     used = {spec.key: guess.layout(spec) for spec in sure}
     step, source = id_step, "as --id-step says"
     if step is None:
@@ -147,10 +147,9 @@ def _free_step(used: set[int], drives: int) -> int:
 
 def _say(shared: Shared, drives: int) -> None:
     from gateway.mapping import first_config
-    from gateway.mapping.first_config import is_sure
 
     for guess in shared.chosen:
-        verb = "is" if is_sure(guess) else "may be"
+        verb = "is" if guess.sure else "may be"
         print(f"{guess.quantity:<16} {verb} {guess.name}")
     if drives > 1 and not shared.source:
         note(

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from gateway.mapping.bus_fit import Cycle
-from gateway.mapping.guess import SURE, Guess
+from gateway.mapping.guess import Guess
 from gateway.mapping.plan import given
 from gateway.settings.signal_map import SENSORS, UNITS, Signals, Source
 
@@ -60,7 +60,7 @@ def ours(drives: int, dbc: str) -> str:
 
 def mapped(drives: int, shared: Shared) -> str:
     """Configuration of drives with messages of another maker."""
-    use = {guess.quantity: guess for guess in shared.chosen if is_sure(guess)}
+    use = {guess.quantity: guess for guess in shared.chosen if guess.sure}
     lines = [
         f"# Written from names and units in {printed(shared.dbc)}: a guess.",
         "# Look at every signal before you believe a flag. `traction-gateway check THIS.toml --log",
@@ -83,11 +83,6 @@ def mapped(drives: int, shared: Shared) -> str:
     lines += [f"[inverter.{shared.name}]", *own]
     lines += [f"[inverter.{shared.name}.use]", *_signals(shared, use)]
     return "\n".join(lines) + "\n" + _MOTOR
-
-
-def is_sure(guess: Guess) -> bool:
-    """Whether a guess is used; a less likely one is written as a comment."""
-    return guess.score >= SURE - 1e-9
 
 
 def _without_model(drives: int) -> list[str]:

@@ -19,16 +19,18 @@ _TENTHS: Final = re.compile(r"(.*[^\d\W])\s*/\s*(10+)|(0?\.0*1)\s*\*?\s*(\D.*)")
 """Unit with a factor: `A/10`, `0.1 A`."""
 _CONVERSIONS: Final[dict[str, dict[str, tuple[float, float]]]] = {
     "A": {"a": (1, 0), "amp": (1, 0), "amps": (1, 0), "ampere": (1, 0), "ma": (1e-3, 0),
-          "arms": (1.4142, 0)},
-    "V": {"v": (1, 0), "volt": (1, 0), "volts": (1, 0), "mv": (1e-3, 0)},
+          "apk": (1, 0), "arms": (1.4142, 0)},
+    "V": {"v": (1, 0), "volt": (1, 0), "volts": (1, 0), "mv": (1e-3, 0), "vrms": (1.4142, 0)},
     "rpm": {"rpm": (1, 0), "1/min": (1, 0), "min1": (1, 0), "u/min": (1, 0), "r/min": (1, 0),
-            "rad/s": (9.5493, 0), "rads/s": (9.5493, 0), "rps": (60, 0)},
+            "rad/s": (9.5493, 0), "rads/s": (9.5493, 0), "rps": (60, 0), "rev/s": (60, 0)},
     "Nm": {"nm": (1, 0), "n*m": (1, 0), "mnm": (1e-3, 0), "knm": (1e3, 0)},
     "degC": {"c": (1, 0), "degc": (1, 0), "celsius": (1, 0), "k": (1, -273.15),
              "f": (0.55556, -17.778), "degf": (0.55556, -17.778)},
     "deg": {"deg": (1, 0), "degree": (1, 0), "degrees": (1, 0), "rad": (57.2958, 0)},
 }  # fmt: skip
 """By our unit: (scale, offset) from other units, written without blanks, points and signs."""
+_MOMENTARY: Final = frozenset({"Ia", "Ib", "Ic", "Ialpha", "Ibeta", "Ualpha", "Ubeta"})
+"""Quantities that alternate, so that a root mean square does not give them."""
 _TARGET: Final = (
     r"tgt|rq|cmd|command|commanded|target|desired|des|request|requested|req|setpoint|set|ref|demand"
 )
@@ -79,7 +81,7 @@ RULES: Final[dict[str, Rule]] = {
     "Ubeta": Rule(r"\b[uv] ?beta\b|\bbeta voltage\b|\bvoltage beta\b"),
     "Ud": Rule(r"\b[uv] ?d\b|\bd (axis )?voltage\b|\bvoltage d\b", r"actual|act|voltage"),
     "Uq": Rule(r"\b[uv] ?q\b|\bq (axis )?voltage\b|\bvoltage q\b", r"actual|act|voltage"),
-    "Speed": Rule(r"\bspeed\b|\brpm\b|\bvelocity\b|\bomega\b|\bn act\b",
+    "Speed": Rule(r"\bspeed\b|\brpm\b|\bvelocity\b|\bvel\b|\bomega\b|\bn act\b",
                   r"motor|mot|mg|rotor|actual|act|feedback|fb|signed"),
     "Torque": Rule(r"\btorque\b|\btrq\b|\bmoment\b",
                    r"feedback|fb|actual|act|motor|mot|mg|effective|estimate|estimated|meas"),
@@ -120,6 +122,11 @@ class Guess(NamedTuple):
     def name(self) -> str:
         """Message.Signal, as in `[drive.signals.use]`."""
         return f"{self.message.name}.{self.signal.name}"
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is used; a less likely one is written as a comment."""
+        return self.score >= SURE - 1e-9
 
 
 def words(name: str) -> str:
@@ -177,6 +184,8 @@ def conversion(quantity: str, unit: str) -> tuple[float, float] | None:
     plain = _UNIT.sub("", unit.lower().rpartition(":")[2].replace("°", "deg"))
     if not unit.strip() or (quantity == "Irms" and plain == "arms"):
         return 1.0, 0.0
+    if quantity in _MOMENTARY and plain.endswith("rms"):
+        return None
     return _CONVERSIONS[ours].get(plain)
 
 
@@ -184,22 +193,29 @@ def chosen(found: dict[str, list[Guess]]) -> list[Guess]:
     """One signal for each quantity that has a guess: complete forms only, no signal twice."""
     out = [*_form(found, _FORMS), *_form(found, VOLTAGES)]
     used = {guess.name for guess in out}
-    near = {guess.message.name for guess in out}
+    near = list(out)
     for quantity in ("ElectricalAngle", "Speed", "Torque", "TorqueCommand", "Irms", "Tstator",
                      "Tde", "Tnde", "Tambient"):  # fmt: skip
         left = [guess for guess in found[quantity] if guess.name not in used]
-        # Among equally likely guesses, prefer a message from which signals are already used.
         left = [g for g in left if left and g.score >= left[0].score - 1e-9]
-        left.sort(key=lambda g: g.message.name not in near)
         if left:
-            out.append(left[0])
-            used.add(left[0].name)
-            near.add(left[0].message.name)
+            # Messages of another drive differ in a word from those that are already used.
+            best = max(left, key=lambda guess: _likeness(guess, near))
+            out.append(best)
+            if best.sure:
+                used.add(best.name)
+                near.append(best)
     names = {guess.quantity for guess in out}
     if "ElectricalAngle" not in names:
         out = [guess for guess in out if guess.quantity not in ("Ud", "Uq")]
     order = list(RULES)
     return sorted(out, key=lambda guess: order.index(guess.quantity))
+
+
+def _likeness(guess: Guess, near: Sequence[Guess]) -> int:
+    """Most words that the name of its message has in common with that of one of the others."""
+    own = set(words(guess.message.name).split())
+    return max((len(own & set(words(g.message.name).split())) for g in near), default=0)
 
 
 def _form(found: dict[str, list[Guess]], forms: Sequence[tuple[str, ...]]) -> list[Guess]:

@@ -215,10 +215,19 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
         spec_of[kind] = _spec(kind, drive.node, cycle, scales)
     trigger = {kind: parts[0] for kind, parts in kinds.items()}
     content = hashlib.sha256(path.read_bytes()).hexdigest()
+    used = [_used(spec, {column for _, column, _ in sources[spec.index]}) for spec in specs]
     return Plan(
-        drive.node, config.motors[drive.motor], signals, Codec(path, specs, content),
+        drive.node, config.motors[drive.motor], signals, Codec(path, used, content),
         {index: tuple(rows) for index, rows in sources.items()}, spec_of, trigger, sends,
     )  # fmt: skip
+
+
+def _used(spec: MessageSpec, names: set[str]) -> MessageSpec:
+    """The message with these signals and those that select them: others would only cost time."""
+    parents = {signal.name: signal.mux_parent for signal in spec.signals}
+    while more := {parent for name in names if (parent := parents[name])} - names:
+        names = names | more
+    return replace(spec, signals=tuple(s for s in spec.signals if s.name in names))
 
 
 def _why(left_out: list[str], name: str) -> str:

@@ -44,6 +44,9 @@ def findings(columns: Mapping[str, Array]) -> list[Finding]:
             text for text, a, b in _MISTAKES if _possible({n: a * x + b for n, x in known.items()})
         ]
         causes = causes or ["a wrong unit, scale or offset"]
+        bad = [name for name, x in known.items() if not _possible({name: x})]
+        # A sensor without a cable shows the end of its converter's range, beside sensible values.
+        causes += [f"no sensor is connected for {', '.join(bad)}"] if len(bad) < len(known) else []
         out.append(Finding(False, f"{values}, which is impossible: {' or '.join(causes)}"))
     elif min(known.values()) < air - _COLDER_K:
         text = f"{values}; colder than the air by more than {_COLDER_K:g} K: a wrong unit, or"

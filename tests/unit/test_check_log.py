@@ -225,6 +225,7 @@ def test_signals_that_do_not_agree_say_nothing():
     ({"Tstator": [350.0]}, False, "K instead of degC (offset = -273.15) or degF instead of degC"),
     ({"Tambient": [68.0], "Tstator": [176.0]}, False, "impossible: degF instead of degC"),
     ({"Tambient": [250.0], "Tstator": [20.0]}, False, "a wrong unit, scale or offset"),
+    ({"Tambient": [27.0], "Tstator": [268.0]}, False, "or no sensor is connected for Tstator"),
     ({"Tambient": [22.0], "Tstator": [-15.0]}, None, "colder than the air"),
     ({"Tde": [np.nan, np.nan]}, None, "Tde: no value in the log"),
 ])  # fmt: skip

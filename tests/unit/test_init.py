@@ -59,22 +59,56 @@ def test_units_are_converted_and_other_quantities_are_left(tmp_path, capsys):
     [
         ("Ia", "A/10", (0.1, 0)), ("Ia", "0.1 A", (0.1, 0)), ("Speed", "1/min", (1, 0)),
         ("Speed", "0.1 1/min", (0.1, 0)), ("Tde", "degF/10", (0.055556, -17.778)),
-        ("Ia", "V/10", None), ("Torque", "0.01*Nm", (0.01, 0)),
+        ("Ia", "V/10", None), ("Torque", "0.01*Nm", (0.01, 0)), ("Ia", "A_rms", None),
+        ("Irms", "Arms", (1, 0)), ("Uq", "Vrms", (1.4142, 0)), ("Ualpha", "Vrms", None),
+        ("Speed", "rev/s", (60, 0)), ("Ib", "Apk", (1, 0)),
     ],
 )  # fmt: skip
 def test_a_unit_may_have_a_factor(quantity, unit, conversion):
     assert guess.conversion(quantity, unit) == conversion
 
 
-def test_an_rms_current_is_no_amplitude(tmp_path, capsys):
-    """A unit of RMS makes an amplitude of a phase current, and nothing else of `Irms`."""
-    write_dbc(tmp_path / "m.dbc", {"Cur": (0x600, 10, [
-        f'{name} : {16 * k}|16@1- (0.1,0) [0|0] "Arms"'
-        for k, name in enumerate(("PhaseA_Current", "PhaseB_Current", "Irms"))
-    ])})  # fmt: skip
+def used_of(tmp_path, messages):
+    """Signals and scales that `init` takes from a DBC, by quantity."""
+    write_dbc(tmp_path / "m.dbc", messages)
     main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
     use = load(tmp_path / "t.toml").drive[0].signals.use
-    assert [use[name].scale for name in ("Ia", "Ib", "Irms")] == [1.4142, 1.4142, 1.0]
+    return {name: (one.signal, one.scale) for name, one in use.items()}
+
+
+def fields(unit, *names):
+    return [f'{name} : {16 * k}|16@1- (0.1,0) [0|0] "{unit}"' for k, name in enumerate(names)]
+
+
+def test_an_rms_current_is_an_amplitude_in_dq_and_no_phase_current(tmp_path, capsys):
+    """The inverter of a solar car sends both phases as RMS, and the vector as amplitudes."""
+    use = used_of(tmp_path, {
+        "Cur": (0x600, 10, fields("A_rms", "PhaseCurrentA", "PhaseCurrentB", "Irms")),
+        "Vector": (0x601, 10, fields("Arms", "Id", "Iq"))})  # fmt: skip
+    assert use == {
+        "Id": ("Vector.Id", 1.4142), "Iq": ("Vector.Iq", 1.4142), "Irms": ("Cur.Irms", 1.0)
+    }  # fmt: skip
+
+
+def test_signals_of_two_drives_are_not_mixed(tmp_path, capsys):
+    """The messages of the drives have the same layout, and differ in one word."""
+    use = used_of(tmp_path, {
+        f"{side}_{name}": (0x600 + 16 * k + at, 10, fields(unit, *names))
+        for k, side in enumerate(("Right", "Left"))
+        for at, (name, unit, names) in enumerate([
+            ("PhaseCurrents", "A", ("PhaseA_Current", "PhaseB_Current")),
+            ("Velocity", "rev/s", ("Vel_Estimate",)),
+            ("Rms", "Arms", ("MotorCurrentRms",))])})  # fmt: skip
+    assert {signal.split("_")[0] for signal, _ in use.values()} == {"Left"}
+    assert use["Speed"] == ("Left_Velocity.Vel_Estimate", 60.0)
+    assert {*use} == {"Ia", "Ib", "Speed", "Irms"}
+
+
+def test_a_signal_that_is_only_proposed_stays_free_for_another_quantity(tmp_path, capsys):
+    """The torque that a servo drive is given may not be taken for the torque that it has."""
+    use = used_of(tmp_path, {"Set_Torque": (0x602, 10, fields("Nm", "Input_Torque"))})
+    assert use == {"TorqueCommand": ("Set_Torque.Input_Torque", 1.0)}
+    assert "Torque           may be Set_Torque.Input_Torque" in capsys.readouterr().out
 
 
 def test_a_signal_without_a_unit_is_proposed_in_a_comment_only(tmp_path, capsys):

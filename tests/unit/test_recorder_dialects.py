@@ -12,6 +12,7 @@ from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.frame import EXTENDED, SECOND
 from dbc.logs.opening import open_reader
+from dbc.logs.proposals import proposed
 from dbc.spec import DbcMismatch
 from dbc.text import decoded
 from dbc.tolerant import read_any_dbc
@@ -93,6 +94,21 @@ LOGS = [
     ("a.log", BUSMASTER + "0:0:1:0603 Tx 1 0x150 sr 8 00 00 00 00 00 00 00 00\n"
      "0:0:2:0000 Rx 1 0x151 s 1 05\n",
      ["1.0603 150#R8 T", "2 151#05"], {"comment": 2}),
+    # Lines of TRC that somebody has cut out of a file: their times are ms.
+    ("a.txt", "   335)      4486.6  Rx     05150000  2  00 01 \n336)  4486.9  Rx  022A0000  0  \n",
+     ["4.4866 05150000#0001", "4.4869 022A0000#"], {}),
+    ("a.txt", "307      3868.800 DT 05150000 Rx 2  00 01 \n308      3869.100 DT     022A Tx 0  \n",
+     ["3.8688 05150000#0001", "3.8691 22A# T"], {}),
+    # Titles say that a column is hexadecimal, beside the same in decimal; or that times are ms.
+    ("a.csv", "time_ms,id,id_hex,length,data_hex\n20,385,181,2,0102\n", ["0.02 181#0102"],
+     {"header": 1}),
+    ("a.csv", "relative_ms,protocol,can_id,byte0,byte1\n12,CAN,256,65,255\n",
+     ["0.012 100#41FF"], {"header": 1}),
+    # ROS' can_msgs/Frame: every number is decimal, even if none shows it.
+    ("a.csv", "%time,field.header.seq,field.id,field.is_rtr,field.is_extended,field.is_error,"
+     "field.dlc,field.data0,field.data1\n1684144800123456789,1,385,0,0,0,2,1,10\n"
+     "1684144800223456789,2,385,1,1,0,2,0,0\n",
+     ["1684144800.123456789 181#010A", "1684144800.223456789 00000181#R2"], {"header": 1}),
 ]  # fmt: skip
 
 
@@ -160,6 +176,30 @@ def test_lines_like_candumps_with_fewer_decimals(tmp_path):
         371_190_000_000,
         371_200_000_000,
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern"),
+    [
+        # An identifier with a colon is no channel, and the first byte no identifier.
+        ("820298   0x085: 7C 33\n820301   0x047: 20 00\n", "{ms} {id}: {data}"),
+        # candump -x behind the time of day.
+        ("16:10:30.19 can0  RX - -  181   [1]  01\n16:10:30.20 can0  TX - -  182   [0]\n",
+         "{clock} {channel} {dir} {skip} {skip} {id} [{dlc}] {data}"),
+        # Identifiers of decimal digits fall as often as they rise: they are no times.
+        ("00000210,00 E3\n00000154,04 07\n00000258,2F 36\n00000116,00 10\n", ""),
+    ],
+)  # fmt: skip
+def test_patterns_that_auto_proposes(text, pattern):
+    found = proposed(text.splitlines())
+    assert (found.pattern if found else "") == pattern
+
+
+def test_numbers_that_may_be_decimal_are_named(tmp_path):
+    """Bytes without a leading zero, none of which has a letter: nothing tells their base."""
+    _, counts, notes = read(tmp_path, "a.csv", "Time,ID,D0,D1\n0.5,385,1,10\n0.6,386,2,20\n")
+    assert not counts
+    assert notes == ["numbers are read as hexadecimal: no byte has a letter or 3 digits"]
 
 
 def test_auto_names_the_cure_for_candump_without_times(tmp_path, capsys):
