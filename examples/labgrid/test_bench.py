@@ -1,5 +1,6 @@
 """Simulated inverters against the gateway that labgrid has started, in real time.
 
+    pip install labgrid msgpack    # msgpack: for python-can's udp_multicast
     pytest examples/labgrid --lg-env examples/labgrid/env.yaml --hil-gateway external \
         --can-interface udp_multicast --can-channel 239.74.163.2
 """

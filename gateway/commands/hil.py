@@ -267,8 +267,13 @@ def _progress(scenario: Any) -> Iterator[list[Any]]:
 
 
 def _suite(parent: ET.Element, title: str, outcome: Outcome, seconds: float, word: int) -> None:
-    """Add a scenario to the JUnit XML; a failure on an overloaded machine counts as an error."""
+    """Add a scenario to the JUnit XML; a failure on an overloaded machine counts as an error.
+
+    A repeated title gets the scenario's number: GitLab keeps one of several cases of a name.
+    """
     verdicts = outcome.verdicts
+    if title in [suite.get("name") for suite in parent]:
+        title = f"{title} ({len(parent) + 1})"
     kind = "error" if outcome.inconclusive else "failure"
     suite = ET.SubElement(
         parent, "testsuite", name=title, tests=str(len(verdicts)), failures="0", errors="0",

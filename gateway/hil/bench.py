@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
@@ -45,6 +45,9 @@ def unaltered(frames: list[Frame], _now: Nanos) -> list[Frame]:
 
 class VirtualBus:
     """Drives and a gateway, which starts them, on a virtual clock that starts at 0."""
+
+    missed: Final = 0
+    """Ticks that came too late: none, since the clock waits."""
 
     def __init__(self, simulation: Simulation, gateway: Gateway, alter: Alter = unaltered) -> None:
         """The gateway must not have run yet."""

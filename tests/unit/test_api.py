@@ -3,6 +3,8 @@
 import csv
 import inspect
 
+import duckdb
+import pandas as pd
 import pytest
 
 import gateway
@@ -52,6 +54,32 @@ def test_events_are_the_changes_and_pandas_takes_them(run):
     frame = run.to_pandas()
     assert len(frame) == run.flags.num_rows
     assert {"adhesion", "load_nm"} <= set(frame.columns)
+
+
+def test_the_options_of_the_page_keep_the_words_and_numbers_of_the_files(run, log, tmp_path):
+    assert main(["replay", str(log), "--results", str(tmp_path)]) == 0
+    kept = pd.read_csv(tmp_path / "flags.csv", keep_default_na=False, na_values=[""])
+    words = run.flags.drop_columns(["t_s"]).to_pandas()
+    assert (words == kept.drop(columns="t_s")).all(axis=None)
+    assert "None" in set(kept["adhesion_reason"])
+    # A column that is empty in more rows than DuckDB looks at.
+    text = "t_s,mixed_c\n" + "1,\n" * 30_000 + "2,9.5\n3,10.5\n"
+    (tmp_path / "late.csv").write_text(text)
+    late = duckdb.read_csv(tmp_path / "late.csv", sample_size=-1)
+    assert late.max("mixed_c").fetchall() == [(10.5,)]
+
+
+def test_unknown_is_a_word_and_an_estimate_that_is_not_known_is_null(run):
+    flags, estimates = run.flags, run.estimates
+    assert estimates.num_rows == flags.num_rows
+    assert not any(flags[name].null_count for name in flags.column_names)
+    query = """
+        SELECT count(*), count(load_nm), sum((adhesion = 'Unknown')::int)
+        FROM flags JOIN estimates USING (t_s, drive) WHERE health = 'Unknown'
+    """
+    [(rows, loads, unknown)] = duckdb.sql(query).fetchall()
+    assert rows == unknown > loads == 0
+    assert duckdb.sql("FROM flags JOIN estimates USING (t_s, drive)").shape[0] == flags.num_rows
 
 
 def test_what_was_known_stands_first(run):

@@ -156,6 +156,17 @@ def test_hil_judges_and_writes_junit(folder, capsys, tmp_path):
     assert main(["hil", str(wrong), "--junit", str(report)]) == 1
     assert ET.parse(report).getroot()[0].get("failures") == "1"
     assert "FAIL" in capsys.readouterr().out
+    # Both have the same title.
+    assert main(["hil", str(folder / "s.toml"), str(wrong), "--junit", str(report)]) == 1
+    suites = ET.parse(report).getroot()
+    cases = [(case.get("classname"), case.get("name")) for case in suites.iter("testcase")]
+    assert len(set(cases)) == len(cases) == 6
+    assert [suite.get("failures") for suite in suites] == ["0", "1"]
+    # What the schema of Jenkins (junit-10.xsd) requires.
+    assert all({"name", "tests", "failures", "errors"} <= set(suite.keys()) for suite in suites)
+    assert {part.tag for case in suites.iter("testcase") for part in case} <= {
+        "system-out", "failure", "error"
+    }  # fmt: skip
 
 
 def test_a_report_of_the_timing_needs_a_folder(capsys, refused, tmp_path):

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cantools
 import pytest
 
 from dbc import generate as build
@@ -102,6 +103,25 @@ def test_specs_of_the_table_are_what_cantools_reads(name):
     specs, problems = binding.read(FOLDER / name)
     assert problems == []
     assert repr(build.recall((FOLDER / name).read_bytes())) == repr(specs)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_tools_get_what_is_in_it_as_kcd_and_their_rules_are_kept(name):
+    database = load(FOLDER / name)
+    again = cantools.database.load_string(database.as_kcd_string(), "kcd")
+    for message in database.messages:
+        kept = again.get_message_by_name(message.name)
+        assert (kept.frame_id, kept.length) == (message.frame_id, message.length)
+        assert message.length in (*range(9), 64)
+        for mine, theirs in zip(message.signals, kept.signals, strict=True):
+            for key in ("name", "start", "length", "is_signed", "scale", "offset", "unit"):
+                assert getattr(mine, key) == getattr(theirs, key)
+            assert (mine.choices or {}) == (theirs.choices or {})
+            # Longer names and labels without a raw value: refused by editors of DBC files.
+            low = -(1 << mine.length - 1) if mine.is_signed else 0
+            assert all(low <= raw < low + (1 << mine.length) for raw in mine.choices or ())
+            assert low <= (mine.raw_initial or 0) < low + (1 << mine.length)
+            assert max(len(mine.name), len(message.name)) <= 32
 
 
 def test_a_changed_file_is_read_anew(tmp_path):

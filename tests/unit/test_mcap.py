@@ -125,6 +125,21 @@ def test_a_replay_has_frames_flags_and_events_in_order(replayed):
     assert {len(row) for row in events} == {len(properties["/events"])}
 
 
+KINDS = {"number": (int, float), "integer": int, "string": str, "boolean": bool, "object": dict}
+
+
+def test_values_are_of_the_types_in_the_schema(replayed):
+    rows, properties = messages(replayed / "one" / "replay.mcap")
+    assert {topic.split("/")[1] for topic in properties} == {
+        "can", "events", "estimates", "flags", "vcan0"
+    }  # fmt: skip
+    for topic, _, content in rows:
+        for name, value in content.items():
+            kind = properties[topic][name]["type"]
+            assert isinstance(value, KINDS[kind]), (topic, name)
+            assert isinstance(value, bool) == (kind == "boolean"), (topic, name)
+
+
 def test_the_layout_names_what_is_there(replayed):
     _, properties = messages(replayed / "one" / "replay.mcap")
     layout = json.loads((replayed / "one" / "foxglove.json").read_text())

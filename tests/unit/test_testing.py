@@ -1,5 +1,6 @@
 """The pytest plugin as its user meets it, and the picture of a failure."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -205,10 +206,66 @@ def test_files_of_a_user_may_have_the_names_of_our_packages(tmp_path, python, sc
 
 
 def test_options_that_do_not_go_together_are_refused(tmp_path):
-    for words in (["--can-channel", "vcan0"], ["--hil-gateway", "external"]):
+    two_on_a_bus = ["--can-interface", "virtual", "-n", "2"]
+    for words in (["--can-channel", "vcan0"], ["--hil-gateway", "external"], two_on_a_bus):
         done = run_pytest(tmp_path, *words)
         assert done.returncode == 4
         assert "--can-interface" in done.stderr
+
+
+LATE = """
+import time
+
+import pytest
+
+@pytest.mark.hil(settle=False)
+def test_late(hil_bench, gateway_flags):
+    hil_bench.run(0.02)
+    time.sleep(0.2)
+    gateway_flags.expect("thermal", "bad", drive=1, within_ms=20)
+"""
+
+
+def test_a_failure_on_a_bus_whose_ticks_were_missed_is_called_inconclusive(tmp_path):
+    (tmp_path / "test_late.py").write_text(LATE)
+    done = run_pytest(tmp_path, "--can-interface", "virtual", "--can-channel", "late")
+    assert done.returncode == 1, done.stderr
+    found = re.search(r"inconclusive: the test's own process missed (\d+) ticks", done.stdout)
+    assert int(found[1]) >= 15
+    # On the virtual clock nothing can be missed.
+    done = run_pytest(tmp_path)
+    assert "thermal of drive 1 was expected to be bad" in done.stdout
+    assert "inconclusive" not in done.stdout
+
+
+TWICE = """
+from _pytest.runner import runtestprotocol
+from gateway.hil.pytest import scenarios
+from gateway.hil.pytest.bench import HilBench
+
+made = []
+scenarios.HilBench = lambda *given, **more: made.append(HilBench(*given, **more)) or made[-1]
+
+def pytest_runtest_protocol(item, nextitem):  # as pytest-rerunfailures
+    reports = runtestprotocol(item, nextitem=nextitem)
+    if any(report.failed for report in reports):
+        runtestprotocol(item, nextitem=nextitem)
+    return True
+
+def pytest_sessionfinish():
+    print("runs:", len(made))
+"""
+
+
+def test_an_expectation_that_is_tested_again_is_tested_on_a_new_run(tmp_path):
+    (tmp_path / "conftest.py").write_text(TWICE)
+    text = (EXAMPLE / "hil_wet_rail.toml").read_text()
+    (tmp_path / "hil_wet_rail.toml").write_text(text)
+    assert "runs: 1\n" in run_pytest(tmp_path).stdout
+    (tmp_path / "hil_wet_rail.toml").write_text(text.replace("within_ms = 100", "within_ms = 1"))
+    done = run_pytest(tmp_path)
+    assert "runs: 2\n" in done.stdout
+    assert "2 failed, 1 passed" in done.stdout
 
 
 def test_a_strip_of_time():

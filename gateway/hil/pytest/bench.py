@@ -76,6 +76,11 @@ class HilBench:
         """Seconds since the start of the bench."""
         return self.now_ns / SECOND
 
+    @property
+    def missed(self) -> int:
+        """Ticks that this process came too late for: on a bus, time does not wait for the test."""
+        return self._world.missed
+
     def run(self, seconds: float) -> None:
         """Let `seconds` pass."""
         end = self.now_ns + round(seconds * SECOND)

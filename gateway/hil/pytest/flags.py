@@ -126,6 +126,9 @@ class GatewayFlags:
         """A picture of the time from shortly before `began` until now, and the last frames."""
         bench = self._bench
         first, last = max(began - SHOWN_NS, 0), max(bench.now_ns, began + 10 * MS)
+        lines = []
+        if bench.missed:
+            lines = [f"  inconclusive: the test's own process missed {bench.missed} ticks"]
         rows = []
         for node in bench.nodes:
             truth = [(t, Flag.BAD if lost else Flag.GOOD) for t, lost in bench.lost[node]]
@@ -134,7 +137,7 @@ class GatewayFlags:
                 seen = self._seen(flag, node)
                 rows.append((f"drive {node} {flag}", picture.strip(seen, first, last)))
         rows += [(flag, picture.strip(self._seen(flag, 0), first, last)) for flag in OF_THE_SET]
-        lines = [f"  {name:>18} {text}" for name, text in rows]
+        lines += [f"  {name:>18} {text}" for name, text in rows]
         lines.append(f"  {'':>18} {picture.axis(first, last)}")
         lines.append(f"  {'':>18} - good   # bad   ? unknown")
         own = {spec.can_id for spec in bench.codec.messages if spec.is_gateway}

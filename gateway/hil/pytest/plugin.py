@@ -64,6 +64,8 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError("--can-channel and --can-fd need --can-interface")
     expected_known(config)
     mutant_of(config)
+    if bus is not None and (config.getoption("numprocesses", None) or 0) > 1:
+        raise pytest.UsageError("--can-interface: a bus has room for one process: remove -n")
     if bus is None and config.getoption("--hil-gateway") == "external":
         raise pytest.UsageError("--hil-gateway external needs a bus: --can-interface")
 

@@ -31,7 +31,8 @@ class ScenarioFile(pytest.File):
             raise self.CollectError(str(error)) from None
         self.short: list[str] = []
         """A line per flag that was known for less of the time than expected."""
-        self._outcome: list[list[tuple[Verdict, str]]] | None = None
+        self._outcome: list[list[tuple[Verdict, str]]] = []
+        self._judged: set[int] = set()
         for number, expect in enumerate(self.scenario.expect):
             who = f"-{expect.drive}" if expect.flag in known.FLAGS else ""
             name = f"{number}-{expect.flag}{who}-{'never-' if expect.never else ''}{expect.is_}"
@@ -40,9 +41,13 @@ class ScenarioFile(pytest.File):
             raise self.CollectError(f"{self.path}: no [[expect]]: nothing would be tested")
 
     def verdicts(self, number: int) -> list[tuple[Verdict, str]]:
-        """Verdicts of one expectation, one per drive, each with a picture."""
-        if self._outcome is None:
-            self._outcome = self._run()
+        """Verdicts of one expectation, one per drive, each with a picture.
+
+        The second time, as for pytest-rerunfailures, they are those of a new run.
+        """
+        if not self._outcome or number in self._judged:
+            self._outcome, self._judged = self._run(), set()
+        self._judged.add(number)
         return self._outcome[number]
 
     def _run(self) -> list[list[tuple[Verdict, str]]]:

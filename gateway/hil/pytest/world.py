@@ -49,6 +49,11 @@ class BusWorld:
         self._bus = open_present(bus)
         self._start: Nanos | None = None
 
+    @property
+    def missed(self) -> int:
+        """Ticks that came too late to be simulated."""
+        return self._ticker.missed
+
     def step(self) -> Tick:
         """Advance by one period."""
         now = self._ticker.wait().now_ns
