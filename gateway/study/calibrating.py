@@ -166,11 +166,9 @@ class Learner:
                 f"{FEWEST_SECONDS * self.dt_s:g} s needed (a single log is split: {FIT_SHARE:.0%} "
                 "for the fit)"
             ]
-        return [
-            f"drive {node}: its current never varied by more than noise: record a changing duty"
-            for node, varied in zip(self.nodes, _varied(runs).tolist(), strict=True)
-            if not varied
-        ]
+        steady = np.array(self.nodes)[~_varied(runs)]
+        names = ", ".join(map(str, steady.tolist()))
+        return [f"drive {names}: the current never varied beyond noise: record a changing duty"]
 
     def finish(self, margin: float) -> Calibration:
         """The calibration. Raises ConfigError when the logs cannot give one."""

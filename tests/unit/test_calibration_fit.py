@@ -110,9 +110,8 @@ def test_too_short_a_log_and_a_duty_that_never_changes():
     assert learner(0).lacks() == ["no second with temperatures"]
     (line,) = learner(700).lacks()
     assert "has 210 s, 300 s needed" in line, "the rest of it is to fit"
-    lines = learner(1200, square=np.full(2, 4.0)).lacks()
-    assert len(lines) == 2
-    assert all("record a changing duty" in line for line in lines)
+    (line,) = learner(1200, square=np.full(2, 4.0)).lacks()
+    assert "record a changing duty" in line
 
 
 def test_a_motor_of_one_duty_is_named_and_nothing_is_learnt():
@@ -122,7 +121,7 @@ def test_a_motor_of_one_duty_is_named_and_nothing_is_learnt():
     for second, square in zip(made.seconds[0], steady.tolist(), strict=True):
         second.square[1] = square
     (line,) = made.lacks()
-    assert line.startswith("drive 7: its current never varied")
+    assert line.startswith("drive 7: the current never varied")
     made.means[0], made.samples = [np.array([s.temperature for s in made.seconds[0]])], 1200
     assert made.finish(1.0).heat is None
 
