@@ -52,6 +52,8 @@ NO_HOUR = (
     "needs two logs or more; the last one is held back to set the limit and must last at least an "
     "hour"
 )
+VARIED, MINUTE = 0.1, 60
+"""Least range of a motor's squared current over its largest, in means of so many samples."""
 SPAN_K = 5.0
 """Least range of the fleet's mean over the logs with which a gain is learnt."""
 
@@ -164,7 +166,9 @@ class Learner:
                 f"{FEWEST_SECONDS * self.dt_s:g} s are needed (of a single log, {FIT_SHARE:.0%} "
                 "are used for the fit)"
             ]
-        return ["the currents never varied: record a changing duty"]
+        steady = np.array(self.nodes)[~_varied(runs)]
+        names = ", ".join(map(str, steady.tolist()))
+        return [f"drive {names}: the current never varied beyond noise: record a changing duty"]
 
     def finish(self, margin: float) -> Calibration:
         """The calibration. Raises ConfigError when the logs cannot give one."""
@@ -227,9 +231,7 @@ class Learner:
             runs = list(split(runs[0], round(FIT_SHARE * len(runs[0].at))))
         if not runs or min(len(run.at) for run in runs) < FEWEST_SECONDS:
             return None
-        if np.ptp(np.concatenate([run.current_square.mean(axis=1) for run in runs])) <= 0.0:
-            return None
-        if (_times_cut_out(runs[:-1]) == len(runs) - 1).any():
+        if not _varied(runs).all() or (_times_cut_out(runs[:-1]) == len(runs) - 1).any():
             return None
         self.notes = [
             f"drive {node} turned without current in {n} of {len(runs)} runs; its readings in them "
@@ -282,6 +284,14 @@ class Learner:
 def _times_cut_out(runs: Sequence[Record]) -> Ints:
     """(M,) number of runs in which each motor turned without current."""
     return np.asarray(np.sum([cut_out(run) for run in runs], axis=0, dtype=np.int64))
+
+
+def _varied(runs: Sequence[Record]) -> Flags:
+    """(M,) whether the heat of each motor's current changed: one duty tells no time constants."""
+    cut = ((run.current_square, len(run.at) // MINUTE * MINUTE) for run in runs)
+    minutes = [x[:n].reshape(-1, MINUTE, x.shape[1]).mean(axis=1) for x, n in cut]
+    means = np.concatenate(minutes)
+    return np.asarray(np.ptp(means, axis=0) > VARIED * means.max(axis=0))
 
 
 def _held(values: Array) -> Array:

@@ -116,6 +116,18 @@ def test_too_short_a_log_and_a_duty_that_never_changes():
     assert "record a changing duty" in line
 
 
+def test_a_motor_of_one_duty_is_named_and_nothing_is_learnt():
+    """The others' duty, and the noise of its own current, show nothing of its time constants."""
+    made, rng = learner(1200), np.random.default_rng(2)
+    steady = rng.normal(9.0, 0.5, len(made.seconds[0]))
+    for second, square in zip(made.seconds[0], steady.tolist(), strict=True):
+        second.square[1] = square
+    (line,) = made.lacks()
+    assert line.startswith("drive 7: the current never varied")
+    made.means[0], made.samples = [np.array([s.temperature for s in made.seconds[0]])], 1200
+    assert made.finish(1.0).heat is None
+
+
 T = np.arange(100) * 0.1
 RATED_NM = 30.0
 

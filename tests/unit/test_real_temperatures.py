@@ -188,3 +188,20 @@ def test_ff_is_not_available_and_never_215_degrees(points, named):
     said = judge(readings, [POINTS])
     assert kinds(said, 0) == {FaultClass.SENSOR_LOST}
     assert set(said.which[said.kind[:, 0] == FaultClass.SENSOR_LOST, 0]) == {named}
+
+
+# All of them
+
+
+def test_in_all_the_hours_that_there_are_nothing_is_false(leg, bridges):
+    """As the page says in its first lines, with the hours."""
+    runs = bridges | {
+        "leg": judge(leg, LEG, learn_icub()),
+        "car": judge(kona(kona_frames()), [POINTS]),
+    }
+    hours = sum(float(said.t_s[-1]) for said in runs.values()) / 3600.0
+    assert f"Together, {hours:.2f} hours are judged" in PAGE.read_text()
+    hot = {label for label, said in runs.items() if (said.thermal == Flag.BAD).any()}
+    faulty = {label for label, said in runs.items() if (said.sensor == Flag.BAD).any()}
+    assert (hot, faulty) == ({"F6", "F8"}, {"leg"})
+    assert (runs["leg"].sensor == Flag.BAD).any(axis=0).nonzero()[0].tolist() == [ROLL]

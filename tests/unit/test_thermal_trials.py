@@ -10,7 +10,7 @@ from gateway.commands import reproduce_thermal
 from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, SENSOR_KINDS, SIZE_K, train
 from gateway.study.thermal_heat import MOTORS
 from gateway.study.thermal_other import train as other_train
-from gateway.study.thermal_report import FIGURES, markdown, rows
+from gateway.study.thermal_report import FIGURES, PRINTED, Outcome, markdown, rows, verdict
 from gateway.study.thermal_scores import (
     COLUMNS,
     Diagnosis,
@@ -194,6 +194,23 @@ def reproduced(tmp_path_factory):
     return folder, outcome
 
 
+@pytest.mark.parametrize(("ours", "word"), [
+    ({m: 0.01 * printed[0] for m, printed in PRINTED.items()}, "Table 2 is reproduced"),
+    ({m: 0.8 - 0.01 * k for k, m in enumerate(PRINTED)}, "Table 2 is not reproduced"),
+])  # fmt: skip
+def test_the_report_begins_with_its_verdict_on_the_papers_order(ours, word):
+    healthy = score_alarms(np.zeros(20), 0.0, truth([0] * 10 + [1] * 10))
+    scores = {method: [healthy._replace(accuracy=share)] for method, share in ours.items()}
+    text = verdict(Outcome("overheating", [1000], {"days": scores}, ["lstm"]))
+    assert word in text
+    best = max((m for m in ours if m != "lstm"), key=ours.get)
+    place = 1 + sum(PRINTED[m] > PRINTED[best] for m in PRINTED if m != "lstm")
+    first = {"paper": "the paper's method", "dpca": "DPCA"}[best]
+    assert f"in brackets: {first} ({place}), " in text
+    assert "LSTM" not in text, "it did not run"
+    assert "confounded" in text
+
+
 @pytest.mark.thorough
 def test_the_paper_reproduced(reproduced):
     tmp_path, outcome = reproduced
@@ -202,6 +219,7 @@ def test_the_paper_reproduced(reproduced):
         assert "<svg" in (tmp_path / f"{name}.svg").read_text()[:2000]
     text = (tmp_path / "report.md").read_text()
     assert text == markdown(outcome)
+    assert verdict(outcome) in text[: text.index("## Table 2")]
     assert "94.4 / 2.75 / 4.44, 1.24" in text
     assert "between 95.56 and 97.25" in text
     page = (tmp_path / "report.html").read_text()

@@ -65,10 +65,10 @@ class Links(NamedTuple):
         up = f"mtu {FD_MTU} up"
         lines = []
         for name in self.vcan:
-            lines += [f"ip link add {name} type vcan", f"ip link set {name} {up}"]
+            lines += [f"ip link add name {name} type vcan", f"ip link set dev {name} {up}"]
         for one, other in self.vxcan:
-            lines += [f"ip link add {one} type vxcan peer name {other}"]
-            lines += [f"ip link set {name} {up}" for name in (one, other)]
+            lines += [f"ip link add name {one} type vxcan peer name {other}"]
+            lines += [f"ip link set dev {name} {up}" for name in (one, other)]
         return lines
 
     def recorded(self, command: str) -> list[str]:

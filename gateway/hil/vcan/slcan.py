@@ -74,7 +74,7 @@ def interfaces() -> list[str]:
 def hold(name: str, fifo: str) -> None:
     """Make a link of this name, up, and execute the lines written to the FIFO, until `unplug`."""
     adapter = Adapter()
-    for words in (f"set {adapter.name} name {name}", f"set {name} up"):
+    for words in (f"set dev {adapter.name} name {name}", f"set dev {name} up"):
         subprocess.run(["ip", "link", *words.split()], check=True)
     os.set_blocking(adapter.master, True)
     threading.Thread(target=_discard, args=(adapter.master,), daemon=True).start()
