@@ -78,20 +78,15 @@ sanitize: out/core/sanitize/sitecustomize.py
 out/core/%/sitecustomize.py: $(VENV)/.ready $(CORE_C) $(CORE_H)
 	$(BIN)/python -m tests.core_variants build $*
 
-# Are these tests tested? Some 40 minutes, of all parts; `make mutation PARTS=validity` for one. Goes on where
-# it was stopped, so `rm out/mutants/*.jsonl` after a change. What survives is listed, and all is kept.
-# cosmic-ray, which makes the mutants, has an environment of its own: it is no dependency.
-PARTS ?= validity
+# Are these tests tested? Some 40 minutes. What survives is listed, and all is kept.
+# cosmic-ray, which makes the mutants of Python, has an environment of its own: it is no dependency.
 MUTANTS := out/mutants
 mutation: $(VENV)/.ready
 	mkdir -p $(MUTANTS)
 	test -d $(MUTANTS)/own || { $(PYTHON) -m venv $(MUTANTS)/own && \
 		$(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0; }
-	for part in $(PARTS); do \
-		$(MUTANTS)/own/bin/python tests/mutation/mutants.py $$part >$(MUTANTS)/$$part.mutants && \
-		nice -n 10 $(BIN)/python -W ignore::SyntaxWarning -m tests.mutation.judge \
-			$$part $(MUTANTS)/$$part.mutants $(MUTANTS)/$$part.jsonl || exit 1; done
-	$(BIN)/python -m tests.mutation.survivors -o tests/mutation/outcomes.json $(MUTANTS)/*.jsonl
+	$(MUTANTS)/own/bin/python tests/mutation/mutants.py dbc/spec.py >$(MUTANTS)/spec.jsonl
+	nice -n 10 $(BIN)/python -m tests.mutation.spec $(MUTANTS)/spec.jsonl
 	$(BIN)/python -m tests.mutation.core
 
 # The documents as a site, in out/site; NO_MKDOCS_2_WARNING: an advertisement of its theme's authors.

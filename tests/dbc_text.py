@@ -38,3 +38,13 @@ def without(text, name):
         for line in text.splitlines(True)
         if not re.search(rf"\b(BO_|SG_|VAL_) {can_id} ", line)
     )
+
+
+def with_cycles(dbc, path, cycles):
+    """A copy of a DBC in which the messages with these identifiers have other cycle times, ms."""
+    text = dbc.read_text(encoding="cp1252")
+    for can_id, ms in cycles.items():
+        text, count = re.subn(rf'(BA_ "GenMsgCycleTime" BO_ {can_id}) \d+;', rf"\g<1> {ms};", text)
+        assert count == 1
+    path.write_text(text, encoding="cp1252")
+    return path

@@ -1,10 +1,7 @@
-"""Drives' frames of extreme but legal raw values, headers right, for tests that nothing raises.
-
-A run changes between honest frames, so that filters and detectors are in the middle of their work,
-and stretches in which a rule makes the values of some messages of some drives.
+"""Drives' frames of extreme but legal raw values, headers right: a rule makes the values of some
+messages of some drives for a while.
 """
 
-import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,18 +11,11 @@ import numpy as np
 import gateway
 from dbc.e2e import protect
 from dbc.spec import SignalSpec
-from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
 from tests.simrun import CLASSIC, FD_FILE, codec
-from tests.value_cases import TICK, honest
 
 CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
 HEADER = ("Crc", "Counter", "SampleIndex", "Quality")
-HONEST_TICKS = 60
-LENGTHS = 30, 40
-"""Ticks of a stretch, and of honest frames after it: most drives are tracked again by then."""
-TOGETHER = 8
-"""Stretches of one gateway, if none raises."""
 MESSAGES = ("electrical", "PhaseCurrents", "StatorVoltages", "Samples", "Motion", "Status",
             "Temperatures", "all")  # fmt: skip
 
@@ -172,19 +162,6 @@ class Stretch(NamedTuple):
     drives: tuple[int, ...]
 
 
-def stretches(setup):
-    """All rules, on each message and on all of them; of one drive and of all."""
-    names = {spec.kind for spec in setup.codec.messages if spec.node and not spec.is_gateway}
-    everyone = tuple(range(setup.drives))
-    messages = [m for m in MESSAGES if m in names or m in ("all", "electrical")]
-    return [
-        Stretch(rule, message, drives)
-        for rule in RULES
-        for message in messages
-        for drives in dict.fromkeys(((0,), everyone))
-    ]
-
-
 def fits(spec, message):
     """Whether a stretch changes this message."""
     if message == "electrical":
@@ -230,44 +207,3 @@ def changed(setup, stretch, blocks, seed):
 def _raw(word, s):
     raw = word >> s.start & ((1 << s.length) - 1)
     return raw - (1 << s.length) if s.is_signed and raw >> s.length - 1 else raw
-
-
-class Raised(NamedTuple):
-    """Where `step` raised, and what it was given."""
-
-    place: str
-    error: str
-    setup: Setup
-    stretch: Stretch
-    tick: int
-
-
-def run(
-    setup, wanted, seed = 1, lengths = LENGTHS,
-    made = Gateway,
-):  # fmt: skip
-    """One stretch after the other, honest frames between; a gateway that raised is replaced."""
-    long, period = lengths[0], sum(lengths)
-    ticks = HONEST_TICKS + period * TOGETHER
-    frames = honest(setup.speed, setup.motor, setup.fd, ticks, 0.6, setup.nodes)
-    out = []
-    core, first = None, 0
-    for number, stretch in enumerate(wanted):
-        if number % TOGETHER == 0 or core is None:
-            # The log begins anew, and with it the gateway.
-            core, first = made(setup.config(), setup.codec, 0), 0
-        begin = HONEST_TICKS + number % TOGETHER * period
-        bad = changed(setup, stretch, frames[begin : begin + long], seed + number)
-        after = frames[begin + long : begin + period]
-        tick = first
-        try:
-            for tick, block in enumerate([*frames[first:begin], *bad, *after], start=first):
-                core.step(block, (tick + 1) * TICK)
-            first = begin + period
-        except Exception as error:
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            name = "/".join(last.filename.split("/")[-2:])
-            what = f"{type(error).__name__}: {error}"
-            out.append(Raised(f"{name}:{last.lineno}", what, setup, stretch, tick - begin))
-            core = None
-    return out

@@ -38,7 +38,7 @@ from tests.mutation import core
 from tests.stations import Inbox
 
 MUTATIONS = {
-    "candump": 600, "readers": 40, "frames": 150, "tick": 300, "values": 12, "dbc": 60,
+    "candump": 600, "readers": 40, "frames": 150, "tick": 300, "values": 24, "dbc": 60,
     "config": 250, "scenario": 250,
 }  # fmt: skip
 MOST_BYTES = 100_000

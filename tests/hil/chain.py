@@ -2,7 +2,6 @@
 
 import csv
 import itertools
-import re
 import shutil
 import socket
 import struct
@@ -24,6 +23,7 @@ from gateway.core.codes import Flag
 from gateway.io.transport import EMCY_ID, HEARTBEAT_ID
 from gateway.reports.expectations import FlagTrack
 from gateway.settings.config import shipped_dbc
+from tests.dbc_text import with_cycles
 from tests.programs import await_state
 
 PATIENCE_S = 90.0
@@ -85,16 +85,9 @@ def for_slower_bus(dbc, folder):
 
     Currents and voltages every 5 ms instead of 2, Motion every 20 instead of 10.
     """
-    text = dbc.read_text(encoding="cp1252")
-    for base, cycle in ((0x180, 5), (0x280, 5), (0x380, 20)):
-        for node in range(1, 17):
-            text, count = re.subn(
-                rf'(BA_ "GenMsgCycleTime" BO_ {base + node}) \d+;', rf"\1 {cycle};", text
-            )
-            assert count == 1
-    path = folder / "slower.dbc"
-    path.write_text(text, encoding="cp1252")
-    return path
+    bases = {0x180: 5, 0x280: 5, 0x380: 20}
+    cycles = {base + node: ms for base, ms in bases.items() for node in range(1, 17)}
+    return with_cycles(dbc, folder / "slower.dbc", cycles)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
-"""All mutants of a part in `parts.toml` that cosmic-ray knows, as JSON lines on stdout.
+"""All mutants of a file that cosmic-ray knows, as JSON lines on stdout.
 
-    python tests/mutation/mutants.py doubt > doubt.mutants
+    python tests/mutation/mutants.py dbc/spec.py > mutants.jsonl
 
 Runs in cosmic-ray's own environment, so it imports nothing of this project.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import sys
-import tomllib
 from pathlib import Path
 
 from cosmic_ray.commands.init import _all_work_items
@@ -19,17 +18,14 @@ from cosmic_ray.plugins import get_operator
 
 def main() -> int:
     """A line per mutant: where, what, and the whole file as it makes it."""
-    parts = tomllib.loads(Path(__file__).with_name("parts.toml").read_text())
-    for item in _all_work_items(parts[sys.argv[1]]["modules"], {}):
+    source = Path(sys.argv[1]).read_text()
+    for item in _all_work_items([sys.argv[1]], {}):
         (spec,) = item.mutations
-        path = Path(spec.module_path)
         operator = get_operator(spec.operator_name)(**spec.operator_args)
-        code = mutate_code(path.read_text(), operator, spec.occurrence)
         mutant = {
-            "module": str(path),
             "line": spec.start_pos[0],
             "operator": spec.operator_name.rsplit("/", 1)[-1],
-            "code": code,
+            "code": mutate_code(source, operator, spec.occurrence),
         }
         print(json.dumps(mutant))
     return 0

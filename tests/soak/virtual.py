@@ -3,7 +3,6 @@
 Both play a recorded hour or loop again and again; counters go on where it is joined.
 """
 
-import re
 from collections import Counter
 from functools import cache
 from typing import Final, NamedTuple
@@ -15,6 +14,7 @@ from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
 from sim.scenario import parse as parse_scenario
 from sim.simulation import Simulation
+from tests.dbc_text import with_cycles
 from tests.simrun import CLASSIC
 from tests.soak.books import Books, unaccounted
 from tests.storm.campaign import CALIBRATION
@@ -72,17 +72,9 @@ def full_traffic(seconds, every_s=60):
 
 def slow_dbc(folder):
     """The message set with a second between slow messages: what a long record holds."""
-    text = CLASSIC.read_text(encoding="utf-8")
-    for node in NODES:
-        for kind in SLOW_KINDS:
-            frame = bind(CLASSIC, NODES).by_name[f"Drive{node}_{kind}"].can_id
-            text, found = re.subn(
-                rf'(BA_ "GenMsgCycleTime" BO_ {frame}) \d+;', r"\g<1> 1000;", text
-            )
-            assert found == 1
-    path = folder / "slow.dbc"
-    path.write_text(text, encoding="utf-8")
-    return path
+    by_name = bind(CLASSIC, NODES).by_name
+    slow = [by_name[f"Drive{node}_{kind}"].can_id for node in NODES for kind in SLOW_KINDS]
+    return with_cycles(CLASSIC, folder / "slow.dbc", dict.fromkeys(slow, 1000))
 
 
 @cache

@@ -31,10 +31,16 @@ def run(log):
     return gateway.replay(log)
 
 
-def test_its_tables_are_those_of_the_command(run, log, tmp_path):
-    assert main(["replay", str(log), "--results", str(tmp_path)]) == 0
+@pytest.fixture(scope="module")
+def results(log):
+    """The folder that the command leaves of the same log."""
+    assert main(["replay", str(log), "--results", str(log.with_name("results"))]) == 0
+    return log.with_name("results")
+
+
+def test_its_tables_are_those_of_the_command(run, results):
     for name, table in (("flags", run.flags), ("estimates", run.estimates)):
-        with (tmp_path / f"{name}.csv").open() as file:
+        with (results / f"{name}.csv").open() as file:
             rows = list(csv.DictReader(file))
         assert table.schema.names == list(rows[0])
         assert table.num_rows == len(rows)
@@ -144,12 +150,11 @@ def test_a_scenario_is_judged():
     assert run.frames
 
 
-def test_a_report_is_that_of_the_command(log, run, tmp_path):
-    assert main(["replay", str(log), "--results", str(tmp_path / "theirs")]) == 0
+def test_a_report_is_that_of_the_command(run, results, tmp_path):
     mine = run.report(tmp_path / "mine")
     assert mine.is_file()
     for name in ("flags.csv", "estimates.csv", "drive1.svg"):
-        assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes()
+        assert (tmp_path / "mine" / name).read_bytes() == (results / name).read_bytes()
     judged = gateway.scenario("silent").run()
     assert "expectations held" in judged.report(tmp_path / "hil").read_text()
 

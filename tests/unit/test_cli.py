@@ -62,14 +62,13 @@ def test_truth_has_a_row_per_drive_every_10_ms(folder):
 
 def test_replay_writes_flags_twice_the_same(folder, capsys):
     out = [folder / "a.log", folder / "b.log"]
-    for k, path in enumerate(out):
-        words = ["replay", str(folder / "s.log"), "-o", str(path)]
-        assert main([*words, "--results", str(folder / f"r{k}")]) == 0
+    for path, more in zip(out, ([], ["--results", str(folder / "r")]), strict=True):
+        assert main(["replay", str(folder / "s.log"), "-o", str(path), *more]) == 0
     assert out[0].read_bytes() == out[1].read_bytes()
     assert "AdhesionLost" in capsys.readouterr().out
     for name in ("flags.csv", "estimates.csv", "flags.svg", "drive2.svg"):
-        assert (folder / "r0" / name).stat().st_size > 1000
-    flags = list(csv.DictReader((folder / "r0" / "flags.csv").read_text().splitlines()))
+        assert (folder / "r" / name).stat().st_size > 1000
+    flags = list(csv.DictReader((folder / "r" / "flags.csv").read_text().splitlines()))
     assert list(flags[0]) == [
         "t_s", "drive", "adhesion", "thermal", "reason", "adhesion_reason", "thermal_reason",
     ]  # fmt: skip
@@ -224,11 +223,20 @@ def test_check_says_which_drives_are_assumed(capsys, tmp_path, text, told):
     assert out.count("no [[drive]] in it: drives 1, 2, 3 with motor bench") == told
 
 
-def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
-    healthy = tmp_path / "h.toml"
-    healthy.write_text('title = "h"\nseed = 3\nduration_s = 30\ndrives = 3\ntraffic = "slow"\n')
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    """A minute of slow messages without a fault: the lines of its log."""
+    here = tmp_path_factory.mktemp("healthy")
+    (here / "h.toml").write_text(
+        'title = "h"\nseed = 3\nduration_s = 61\ndrives = 3\ntraffic = "slow"\n'
+    )
+    assert main(["sim", str(here / "h.toml"), "-o", str(here / "h.log")]) == 0
+    return (here / "h.log").read_text().splitlines(keepends=True)
+
+
+def test_calibrate_then_replay_knows_thermal(healthy, capsys, refused, tmp_path):
     log = tmp_path / "h.log"
-    assert main(["sim", str(healthy), "-o", str(log)]) == 0
+    log.write_text("".join(healthy[: len(healthy) // 2]))
     cells = tmp_path / "cells.toml"
     said = refused("calibrate", log, "-o", cells)
     assert "at least 300 s are needed (of a single log, 70%" in said, "too short for a model"
@@ -252,15 +260,12 @@ def test_calibrate_then_replay_knows_thermal(folder, capsys, refused, tmp_path):
 
 
 @pytest.mark.parametrize("to", [("-o", "x.toml", "--without-model"), ("--adhesion",)])
-def test_a_calibration_from_a_damaged_log_is_exit_1(folder, capsys, tmp_path, monkeypatch, to):
+def test_a_calibration_from_a_damaged_log_is_exit_1(healthy, capsys, tmp_path, monkeypatch, to):
     monkeypatch.chdir(tmp_path)
-    healthy = tmp_path / "h.toml"
-    healthy.write_text('title = "h"\nseed = 3\nduration_s = 61\ndrives = 3\ntraffic = "slow"\n')
-    assert main(["sim", str(healthy), "-o", "h.log"]) == 0
-    lines = (tmp_path / "h.log").read_text().splitlines()
+    (tmp_path / "h.log").write_text("".join(healthy))
     assert main(["calibrate", "h.log", *to]) == 0
-    cut = [line[:20] if k % 20 == 7 else line for k, line in enumerate(lines)]
-    (tmp_path / "h.log").write_text("\n".join(cut) + "\n")
+    cut = [line[:20] + "\n" if k % 20 == 7 else line for k, line in enumerate(healthy)]
+    (tmp_path / "h.log").write_text("".join(cut))
     assert main(["calibrate", "h.log", *to]) == 1
     assert "5.0 % of the input was dropped, which is more than 1%: malformed" in (
         capsys.readouterr().err

@@ -226,33 +226,6 @@ def test_a_heartbeat_that_was_seen_and_stops_is_a_communication_fault():
     assert view.drives[1].adhesion is Flag.GOOD
 
 
-@pytest.mark.parametrize(("ahead", "shift_ms"), [(0, 0.45), (1, 0.05), (2, 1.6), (15, 0.45)])
-def test_a_drive_that_two_send_for_is_unknown_until_a_second_after(ahead, shift_ms):
-    """The other sends currents and voltages of a drive that carries as much as its neighbours."""
-    bench, other = Bench(gateway(), drives()), SteadyDrive(CODEC, 1, 100.0, 20.0, theta=1.0)
-    assert bench.run(60).drives[0].adhesion is Flag.GOOD
-
-    def both(frames, now):
-        first = (now - TICK) // (2 * MS)
-        for k in range(first, first + 5):
-            other.currents.counter = other.voltages.counter = k + ahead
-            for frame in other.frames(k)[:2]:
-                frames.append(frame._replace(t_ns=frame.t_ns + round(shift_ms * MS)))
-        return [frame for frame in frames if frame.t_ns <= now]
-
-    def silent(frames, _now):
-        return frames
-
-    bench.run(5, both)
-    for touch in [both] * 60 + [silent] * 98:
-        view = bench.run(1, touch)
-        assert view.drives[0].adhesion is Flag.UNKNOWN
-        assert view.adhesion_reason is Reason.SEQUENCE
-        assert named(bench.sent)["Gateway_Adhesion"]["Adhesion1"] == 0
-        assert view.drives[1].adhesion is Flag.GOOD
-    assert bench.run(60).drives[0].adhesion is Flag.GOOD
-
-
 def test_a_message_that_was_heard_and_never_valid_is_not_known_to_be_good():
     motion = Sender(CODEC, "Drive1_Motion")
     bench = Bench(gateway(), drives())
@@ -304,28 +277,6 @@ def test_a_pair_is_as_stale_as_its_older_frame():
         assert [d.health is Health.TRACKING for d in view.drives] == good, later
         assert (view.common_mode is Flag.GOOD) is any(good), later
     assert said == {(True,) * 3, (False,) * 3}
-
-
-def test_single_lost_frames_are_bridged_and_counted():
-    bench = Bench(gateway(), drives())
-    bench.run(60)
-    dropped = [0]
-
-    def lossy(frames, now):
-        out = []
-        for k, f in enumerate(frames):
-            if (now // TICK + k) % 47 == 0:
-                dropped[0] += 1
-            else:
-                out.append(f)
-        return out
-
-    seen = set()
-    for _ in range(100):
-        view = bench.run(1, lossy)
-        seen |= {d.adhesion for d in view.drives}
-    assert seen == {Flag.GOOD}
-    assert bench.core.inbox.counts["lost"] >= 0.8 * dropped[0]
 
 
 def test_farewell_says_unknown():

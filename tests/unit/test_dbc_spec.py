@@ -55,6 +55,7 @@ def test_the_ends_mean_or_beyond_only_of_signed_integers_with_a_code_for_none(
 
 
 def test_numbers_of_validities_and_matches():
+    assert [code.value for code in Validity] == list(range(6))
     names = ("VALID", "NOT_AVAILABLE", "RANGE", "SATURATED", "ABSENT")
     for number, name in enumerate(names):
         assert getattr(spec, name) == Validity[name] == number
@@ -83,7 +84,7 @@ def message(**more):
 def test_a_message_is_known_by_its_identifier_and_how_long_that_is():
     assert message().key == 0x122
     assert message(is_extended=True).key == 0x8000_0122
-    assert (message().is_extended, message().is_gateway) == (False, False)
+    assert not any((message().is_extended, message().is_gateway, message().is_either))
     with pytest.raises(dataclasses.FrozenInstanceError):
         message().can_id = 1
     assert not hasattr(message(), "__dict__")
@@ -118,6 +119,7 @@ def test_a_mismatch_lists_its_problems_a_line_each_and_printable():
         ("Adhesion", 0, True, False),
         ("Adhesion", 1, False, False),
         ("Thermal", 1, True, False),
+        ("A", 1, True, False),
     ],
 )
 def test_only_the_gateways_adhesion_of_a_drive_is_sent_on_request(kind, node, is_gateway, expected):

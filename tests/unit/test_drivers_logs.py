@@ -182,13 +182,6 @@ def test_an_error_ends_a_log_of_json_with_a_line_of_json():
     assert "no-such.toml" in got["message"]
 
 
-def test_json_for_the_journal_has_its_level_before_it():
-    made = logs.Marked(logs.Json())
-    line = made.format(logging.LogRecord("bus", logging.WARNING, "", 1, "down", (), None))
-    assert line.startswith("<4>{")
-    assert json.loads(line[3:])["message"] == "down"
-
-
 @pytest.mark.parametrize("journal", [True, False])
 def test_stderr_is_the_journal_only_where_systemd_says_so(journal):
     read, write = os.pipe()

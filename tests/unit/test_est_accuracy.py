@@ -11,7 +11,6 @@ from scipy.special import ndtr
 
 from estimators import filters
 from estimators.models import pmsm
-from estimators.models.pmsm import THETA_VAR
 from tests.core_calls import acquisition
 from tests.core_calls.filters import sweep
 from tests.filter_records import acquire, start_states
@@ -48,12 +47,12 @@ def load_rmse(w, every, kind="ekf", **changes):
     return math.sqrt(np.mean(np.square(errors)))
 
 
-def load_errors(w, every, kind="ekf", theta_var=THETA_VAR, **wrong):
+def load_errors(w, every, kind="ekf", **wrong):
     """Errors and loads, Nm, (T, N)."""
     par, _ = bench(DRIVES)
     par = par._replace(**{name: getattr(par, name) * factor for name, factor in wrong.items()})
     i_lsb = 0.02 if every >= 16 else 0.05
-    noise = pmsm.default_noise(par, rated(DRIVES), i_lsb=i_lsb, theta_var=theta_var)
+    noise = pmsm.default_noise(par, rated(DRIVES), i_lsb=i_lsb)
     table = pmsm.table(par)
     errors, loads = [], []
     for seed in SEEDS:
@@ -114,8 +113,3 @@ def test_the_load_does_not_read_low_with_speed(w):
 )
 def test_wrong_constants_cost_little(wrong, bound):
     assert load_rmse(200.0, 16, **wrong) < bound
-
-
-def test_a_stiff_angle_is_brittle():
-    """Why THETA_VAR is not the 1e-8 that finds the rotor by itself."""
-    assert load_rmse(200.0, 16, theta_var=1e-8, psi_f=0.8) > 20.0

@@ -31,6 +31,18 @@ def made(path):
     return tomllib.loads(path.read_text())
 
 
+@pytest.fixture
+def init(tmp_path, capsys):
+    """The command with a DBC of these messages; its exit code."""
+
+    def run(messages, *more, out="t.toml"):
+        write_dbc(tmp_path / "m.dbc", messages)
+        words = ["init", "--dbc", tmp_path / "m.dbc", "-o", tmp_path / out, *more]
+        return main([str(word) for word in words])
+
+    return run
+
+
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda path: path.stem)
 def test_it_chooses_what_a_person_has_chosen(tmp_path, monkeypatch, capsys, layout):
     monkeypatch.chdir(tmp_path)
@@ -42,9 +54,8 @@ def test_it_chooses_what_a_person_has_chosen(tmp_path, monkeypatch, capsys, layo
     }
 
 
-def test_units_are_converted_and_other_quantities_are_left(tmp_path, capsys):
-    write_dbc(tmp_path / "m.dbc", MOTOR)
-    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+def test_units_are_converted_and_other_quantities_are_left(tmp_path, init):
+    init(MOTOR)
     use = load(tmp_path / "t.toml").drive[0].signals.use
     assert use["Speed"].signal == "Motor.MotorSpeed"
     assert use["Speed"].scale == pytest.approx(30 / 3.14159265, rel=1e-4)
@@ -68,21 +79,25 @@ def test_a_unit_may_have_a_factor(quantity, unit, conversion):
     assert guess.conversion(quantity, unit) == conversion
 
 
-def used_of(tmp_path, messages):
+@pytest.fixture
+def used_of(tmp_path, init):
     """Signals and scales that `init` takes from a DBC, by quantity."""
-    write_dbc(tmp_path / "m.dbc", messages)
-    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
-    use = load(tmp_path / "t.toml").drive[0].signals.use
-    return {name: (one.signal, one.scale) for name, one in use.items()}
+
+    def read(messages):
+        init(messages)
+        use = load(tmp_path / "t.toml").drive[0].signals.use
+        return {name: (one.signal, one.scale) for name, one in use.items()}
+
+    return read
 
 
 def fields(unit, *names):
     return [f'{name} : {16 * k}|16@1- (0.1,0) [0|0] "{unit}"' for k, name in enumerate(names)]
 
 
-def test_an_rms_current_is_an_amplitude_in_dq_and_no_phase_current(tmp_path, capsys):
+def test_an_rms_current_is_an_amplitude_in_dq_and_no_phase_current(used_of):
     """The inverter of a solar car sends both phases as RMS, and the vector as amplitudes."""
-    use = used_of(tmp_path, {
+    use = used_of({
         "Cur": (0x600, 10, fields("A_rms", "PhaseCurrentA", "PhaseCurrentB", "Irms")),
         "Vector": (0x601, 10, fields("Arms", "Id", "Iq"))})  # fmt: skip
     assert use == {
@@ -90,9 +105,9 @@ def test_an_rms_current_is_an_amplitude_in_dq_and_no_phase_current(tmp_path, cap
     }  # fmt: skip
 
 
-def test_signals_of_two_drives_are_not_mixed(tmp_path, capsys):
+def test_signals_of_two_drives_are_not_mixed(used_of):
     """The messages of the drives have the same layout, and differ in one word."""
-    use = used_of(tmp_path, {
+    use = used_of({
         f"{side}_{name}": (0x600 + 16 * k + at, 10, fields(unit, *names))
         for k, side in enumerate(("Right", "Left"))
         for at, (name, unit, names) in enumerate([
@@ -104,36 +119,31 @@ def test_signals_of_two_drives_are_not_mixed(tmp_path, capsys):
     assert {*use} == {"Ia", "Ib", "Speed", "Irms"}
 
 
-def test_a_signal_that_is_only_proposed_stays_free_for_another_quantity(tmp_path, capsys):
+def test_a_signal_that_is_only_proposed_stays_free_for_another_quantity(used_of, capsys):
     """The torque that a servo drive is given may not be taken for the torque that it has."""
-    use = used_of(tmp_path, {"Set_Torque": (0x602, 10, fields("Nm", "Input_Torque"))})
+    use = used_of({"Set_Torque": (0x602, 10, fields("Nm", "Input_Torque"))})
     assert use == {"TorqueCommand": ("Set_Torque.Input_Torque", 1.0)}
     assert "Torque           may be Set_Torque.Input_Torque" in capsys.readouterr().out
 
 
-def test_a_signal_without_a_unit_is_proposed_in_a_comment_only(tmp_path, capsys):
-    write_dbc(tmp_path / "m.dbc", MOTOR | {
-        "Motor": (0x601, 10, ['MotorSpeed : 0|16@1- (0.1,0) [0|0] ""'])})  # fmt: skip
-    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+def test_a_signal_without_a_unit_is_proposed_in_a_comment_only(tmp_path, capsys, init):
+    init(MOTOR | {"Motor": (0x601, 10, ['MotorSpeed : 0|16@1- (0.1,0) [0|0] ""'])})
     assert "Speed" not in load(tmp_path / "t.toml").drive[0].signals.use
     assert '# Speed = "Motor.MotorSpeed"' in (tmp_path / "t.toml").read_text()
     assert "Speed            may be Motor.MotorSpeed" in capsys.readouterr().out
 
 
-def test_the_blower_of_a_cabin_is_no_traction_motor(tmp_path, capsys):
-    write_dbc(tmp_path / "m.dbc", MOTOR | {
+def test_the_blower_of_a_cabin_is_no_traction_motor(tmp_path, init):
+    init(MOTOR | {
         "Cabin": (0x282, 10, ['HvacBlowerRPMActual : 0|16@1- (1,0) [0|0] "rpm"']),
         "Setup": (0x159, 10, ['LowerRpmMotor : 0|16@1- (1,0) [0|0] "rpm"'])})  # fmt: skip
-    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
     used = [one.signal for one in load(tmp_path / "t.toml").drive[0].signals.use.values()]
     assert used
     assert not [name for name in used if name.startswith(("Cabin.", "Setup."))]
 
 
-def test_a_dbc_without_anything_of_a_motor_is_refused(tmp_path, capsys):
-    write_dbc(tmp_path / "m.dbc", {"Seat": (5, 10, ['SeatHeight : 0|8@1+ (1,0) [0|0] "mm"'])})
-    code = main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
-    assert code == 2
+def test_a_dbc_without_anything_of_a_motor_is_refused(tmp_path, capsys, init):
+    assert init({"Seat": (5, 10, ['SeatHeight : 0|8@1+ (1,0) [0|0] "mm"'])}) == 2
     assert "no signal has the name and the unit" in capsys.readouterr().err
     assert not (tmp_path / "t.toml").exists()
 
@@ -147,12 +157,10 @@ def test_our_message_set_needs_no_signals_and_check_is_good(tmp_path, capsys):
     assert made(tmp_path / "u.toml")["dbc"] == {"file": "own.dbc"}
 
 
-def test_a_log_without_cycles_and_no_drives_are_refused(tmp_path, capsys):
-    write_dbc(tmp_path / "m.dbc", MOTOR)
+def test_a_log_without_cycles_and_no_drives_are_refused(tmp_path, capsys, init):
     (tmp_path / "one.log").write_text("(1.000000) can0 600#0000000000000000\n")
-    words = ["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")]
-    assert main([*words, "--log", str(tmp_path / "one.log")]) == 2
-    assert main([*words, "--drives", "0"]) == 2
+    assert init(MOTOR, "--log", tmp_path / "one.log") == 2
+    assert init(MOTOR, "--drives", "0") == 2
     said = capsys.readouterr().err
     assert "no message occurs often enough" in said
     assert "0: expected 1 to 16" in said
@@ -190,26 +198,22 @@ def test_what_is_there_is_not_overwritten(tmp_path, capsys):
     assert (tmp_path / "t.toml").read_text() == "mine"
 
 
-def test_drives_share_one_block_and_a_guessed_step_is_marked(tmp_path, capsys):
-    write_dbc(tmp_path / "m.dbc", MOTOR)
-    words = ["init", "--drives", "3", "--dbc", str(tmp_path / "m.dbc"), "-o"]
-    main([*words, str(tmp_path / "t.toml")])
+def test_drives_share_one_block_and_a_guessed_step_is_marked(tmp_path, init):
+    init(MOTOR, "--drives", "3")
     text = (tmp_path / "t.toml").read_text()
     assert list(made(tmp_path / "t.toml")["inverter"]) == ["m"]
     assert text.count("GUESSED") == 2
-    main([*words, str(tmp_path / "u.toml"), "--id-step", "0x20", "--id-offset", "1"])
+    init(MOTOR, "--drives", "3", "--id-step", "0x20", "--id-offset", "1", out="u.toml")
     offsets = [d.signals.id_offset for d in load(tmp_path / "u.toml").drive]
     assert offsets == [1, 0x21, 0x41]
     assert "GUESSED" not in (tmp_path / "u.toml").read_text()
 
 
-def test_the_step_is_found_where_the_dbc_has_all_drives(tmp_path, capsys):
+def test_the_step_is_found_where_the_dbc_has_all_drives(tmp_path, capsys, init):
     every = {}
     for drive, (name, (can_id, cycle, signals)) in itertools.product(range(2), MOTOR.items()):
         every[f"{name}{drive + 1}"] = (can_id + 0x10 * drive, cycle, signals)
-    write_dbc(tmp_path / "m.dbc", every)
-    main(["init", "--drives", "2", "--dbc", str(tmp_path / "m.dbc"),
-          "-o", str(tmp_path / "t.toml")])  # fmt: skip
+    init(every, "--drives", "2")
     first, second = (drive.signals for drive in load(tmp_path / "t.toml").drive)
     assert (first.id_offset, second.id_offset) == (0, 0x10)
     assert first.use["Speed"].signal == "Motor1.MotorSpeed"
@@ -218,7 +222,7 @@ def test_the_step_is_found_where_the_dbc_has_all_drives(tmp_path, capsys):
     assert printed.count("temperatures from Tstator") == 1, "what drives share is printed once"
 
 
-def test_neither_a_multiplexer_nor_a_signal_in_use_is_proposed(tmp_path, capsys):
+def test_neither_a_multiplexer_nor_a_signal_in_use_is_proposed(tmp_path, init):
     messages = {
         "I1_Cur": (0x600, 2, [f'Ph{x} : {16 * k}|16@1- (0.1,0) [0|0] "A"'
                               for k, x in enumerate("UVW")]),
@@ -226,13 +230,12 @@ def test_neither_a_multiplexer_nor_a_signal_in_use_is_proposed(tmp_path, capsys)
                                   'TempStator m0 : 8|16@1- (0.1,0) [0|0] "C"',
                                   'TempMotor m1 : 8|16@1- (0.1,0) [0|0] "C"']),
     }  # fmt: skip
-    write_dbc(tmp_path / "m.dbc", messages)
-    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+    init(messages)
     others = [x for x in (tmp_path / "t.toml").read_text().splitlines() if x.startswith("#   or")]
     assert others == ["#   or I1_Temps.TempMotor"]
 
 
-def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):
+def test_a_log_says_cycles_and_identifiers(tmp_path, capsys, init):
     """A DBC without cycle times, and a recording of two such drives."""
     signals = ["Ia", "Ib", "Ic"], ["Ualpha", "Ubeta"], ["MotorSpeed", "MotorTorque"]
     units = "A", "V", "rpm"
@@ -256,9 +259,9 @@ def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):
     config = parse({"drive": tables}, base=tmp_path)
     frames = run(Simulation(scenario(seed=3, duration_s=2.0, drives=2), codec()), 2.0)
     log_of(tmp_path / "d.log", spoken(config, frames))
-    write_dbc(tmp_path / "m.dbc", {n: (i, 0, s) for n, (i, _, s) in messages.items()})
-    code = main(["init", "--drives", "2", "--dbc", str(tmp_path / "m.dbc"), "--id-offset", "16",
-                 "--log", str(tmp_path / "d.log"), "-o", str(tmp_path / "t.toml")])  # fmt: skip
+    timeless = {n: (i, 0, s) for n, (i, _, s) in messages.items()}
+    words = ["--drives", "2", "--id-offset", "16", "--log", tmp_path / "d.log"]
+    code = init(timeless, *words)
     said = capsys.readouterr()
     assert code == 0, said
     first, second = (drive.signals for drive in load(tmp_path / "t.toml").drive)
@@ -269,24 +272,20 @@ def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):
     assert "DOES NOT FIT" not in said.out
     with (tmp_path / "d.log").open("a") as file:
         file.write("(9.000000) can1 123#00\n")
-    words = ["init", "--drives", "2", "--dbc", str(tmp_path / "m.dbc"), "--id-offset", "16",
-             "--log", str(tmp_path / "d.log"), "-o", str(tmp_path / "two.toml")]  # fmt: skip
-    assert main(words) == 2
+    assert init(timeless, *words, out="two.toml") == 2
     assert "has several channels (can0, can1, ..); name one with --log-channel" in (
         capsys.readouterr().err
     )
     assert not (tmp_path / "two.toml").exists()
-    assert main([*words, "--log-channel", "can0"]) == 0
+    assert init(timeless, *words, "--log-channel", "can0", out="two.toml") == 0
 
 
-def test_signals_that_make_no_message_are_not_called_a_wrong_log(tmp_path, capsys):
+def test_signals_that_make_no_message_are_not_called_a_wrong_log(tmp_path, capsys, init):
     """Speed alone: `Motion` needs a torque."""
-    write_dbc(tmp_path / "m.dbc", {"Mot": (0x601, 10, [
-        'MotorSpeed : 0|16@1- (0.5,0) [0|0] "rpm"'])})  # fmt: skip
     lines = "".join(f"({k / 100:.6f}) can0 601#0100\n" for k in range(100))
     (tmp_path / "d.log").write_text(lines)
-    assert main(["init", "--dbc", str(tmp_path / "m.dbc"), "--log", str(tmp_path / "d.log"),
-                 "-o", str(tmp_path / "t.toml")]) == 2  # fmt: skip
+    speed = {"Mot": (0x601, 10, ['MotorSpeed : 0|16@1- (0.5,0) [0|0] "rpm"'])}
+    assert init(speed, "--log", tmp_path / "d.log") == 2
     out = capsys.readouterr().out
     assert "DOES NOT FIT: its mapped signals do not complete any message" in out
 

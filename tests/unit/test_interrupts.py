@@ -97,15 +97,6 @@ def test_no_results_are_left_of_a_run_that_has_no_report(tmp_path, monkeypatch, 
         assert (folder / "flags.csv").read_text() == "of an earlier run"
 
 
-def test_complete_results_have_their_report(tmp_path, log, capsys):
-    folder = tmp_path / "new" / "results"
-    assert main(["replay", log, "--results", str(folder)]) == 0
-    assert f"report: {folder / 'report.html'}\n" in capsys.readouterr().out
-    names = {path.name for path in folder.iterdir()}
-    assert names >= {"report.html", "report.md", "flags.csv", "flags.svg"}
-    assert not [name for name in names if name.startswith(".")]
-
-
 def test_files_of_a_folder_appear_together(tmp_path):
     with whole_folder(tmp_path / "out") as part:
         (part / "in").mkdir()

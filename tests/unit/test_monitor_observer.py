@@ -158,7 +158,7 @@ def corrupted(frame, byte):
     return frame._replace(data=bytes(data))
 
 
-@pytest.mark.parametrize("byte", range(8))
+@pytest.mark.parametrize("byte", [0, 1, 7], ids=["checksum", "counter", "flags"])
 def test_corrupted_flag_frames_are_not_believed(run, byte):
     """From 1 s on every flag frame is spoilt, and the loss that follows stays unheard."""
     frames = [

@@ -21,7 +21,7 @@ DRIVES = {0x400 + n: 8 for n in (1, 3)} | {0x500 + n: 8 for n in (1, 3)}
 AUTH = {0x320: 8}
 CREEP = {0x300 + n: 8 for n in (1, 3)}
 OWN = FLAGS | SERVICE | DRIVES
-EXTENDED_IDS = 100_000
+EXTENDED_IDS = 10_000
 
 
 def config(**sections):

@@ -284,16 +284,6 @@ def test_the_command_says_what_agrees(made):
     assert re.fullmatch(r"done in \d+ s\n", err)
 
 
-@pytest.mark.thorough  # Two runs; that a scenario gives the same bytes: test_scenarios.
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes(folder, scenario, tmp_path):
-    reproduce.reproduce(scenario, tmp_path, seeds=(6, 7))
-    names = sorted(p.name for p in folder.iterdir())
-    assert names == sorted(p.name for p in tmp_path.iterdir())
-    for name in names:
-        assert (folder / name).read_bytes() == (tmp_path / name).read_bytes(), name
-
-
 def test_another_seed_is_another_run(scenario):
     other = section5.simulate(scenario.model_copy(update={"seed": 6}))
     one = section5.simulate(scenario)

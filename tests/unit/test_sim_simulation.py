@@ -10,6 +10,7 @@ from dbc.spec import Validity
 from sim.ground_truth import COLUMNS
 from sim.scenario import find
 from sim.simulation import Simulation
+from tests.dbc_text import with_cycles
 from tests.simrun import FD_FILE, codec, run, scenario, values
 
 TIED = {"sensors": {"current_noise_var": 0.0, "temperature_noise_k": 0.0}}
@@ -67,13 +68,8 @@ def test_messages_keep_their_cycle_and_count_it():
 
 
 def test_cycle_times_come_from_the_dbc(tmp_path):
-    text = codec().path.read_text()
-    for node in range(1, 17):
-        for base in (0x180, 0x280):
-            text = text.replace(f'BA_ "GenMsgCycleTime" BO_ {base + node} 2;',
-                                f'BA_ "GenMsgCycleTime" BO_ {base + node} 4;')  # fmt: skip
-    slow = tmp_path / "slow.dbc"
-    slow.write_text(text)
+    cycles = {base + node: 4 for node in range(1, 17) for base in (0x180, 0x280)}
+    slow = with_cycles(codec().path, tmp_path / "slow.dbc", cycles)
     out = run(Simulation(scenario(), codec(path=slow)), 0.4)
     assert abs(sum(f.can_id == 0x181 for f in out) - 100) <= 1
     assert abs(sum(f.can_id == 0x281 for f in out) - 100) <= 1
