@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import inspect
 import os
-import pkgutil
 import re
 import types
 import typing
@@ -27,10 +26,8 @@ from pydantic import AfterValidator, BaseModel
 from pydantic.fields import FieldInfo
 
 import dbc
-import estimators
-import gateway
-import sim
 from dbc.toml_files import Within
+from gateway import api as gateway_api
 from gateway import cli
 from gateway.settings import config
 from sim import scenario, scenarios
@@ -40,6 +37,23 @@ from sim.scenario_schema import Strict as SimStrict
 ROOT = Path(__file__).parents[2]
 COMMITTED = ("scenarios", "configuration", "messages")
 """Pages in docs/reference that other pages refer to."""
+PUBLIC: dict[str, tuple[str, ...]] = {
+    "replay": (),
+    "scenario": (),
+    "Run": ("flags", "estimates", "events", "known", "frames", "to_pandas", "report"),
+    "Scenario": ("run",),
+    "Judged": ("verdicts", "passed"),
+    "Config": (),
+    "InputError": (),
+    "ConfigError": ("problems",),
+    "Gateway": ("step",),
+    "detectors": (),
+    "Evidence": (),
+    "Opinion": (),
+}
+"""Names of the Python API, with those members of a class that are public."""
+BUILT = ("Run", "Judged", "Config")
+"""Classes that only we make an object of, or whose arguments are the keys of a file."""
 SIGNS = {Gt: ">", Ge: ">=", Lt: "<", Le: "<="}
 BOUNDS = {Gt: "gt", Ge: "ge", Lt: "lt", Le: "le"}
 NUMBERED = "Drive1_"
@@ -89,7 +103,7 @@ def pages() -> dict[str, str]:
         "scenarios": scenario_page(),
         "messages": messages("traction.dbc"),
         "messages_fd": messages("traction_fd.dbc"),
-        **{f"api_{package.__name__}": api(package) for package in (dbc, estimators, gateway, sim)},
+        "api": api(),
     }
 
 
@@ -265,22 +279,49 @@ def _signal(signal: Signal) -> str:
     return f"| {name} | {bits} | {value.strip()} | {signal.unit or ''} | {meaning} |"
 
 
-def api(package: object) -> str:
-    """A heading per public module; mkdocstrings fills in what its docstrings say."""
-    name = getattr(package, "__name__")  # noqa: B009
-    out = [f"# {name}", ""]
-    for module in _modules(package):
-        out += [f"::: {module}", ""]
+def api() -> str:
+    """A heading per public name; mkdocstrings fills in what its docstrings say."""
+    out = ["# Python API", "", "These names are stable; all others are private.", ""]
+    for name, found in public().items():
+        shown = ", ".join(PUBLIC[name])
+        options = ["    options:", f"      members: [{shown}]", f'      heading: "gateway.{name}"']
+        out += [f"::: {_defined(name, found)}", *options, ""]
     return "\n".join(out)
 
 
-def _modules(package: object) -> Iterator[str]:
-    name, path = getattr(package, "__name__"), getattr(package, "__path__")  # noqa: B009
-    for info in sorted(pkgutil.walk_packages(path, f"{name}."), key=lambda i: i.name):
-        parts = info.name.split(".")
-        hidden = any(part.startswith("_") for part in parts) or "scenarios" in parts
-        if not hidden and parts[-1] not in {"build", "plugin"} and parts[1:2] != ["commands"]:
-            yield info.name
+def public() -> dict[str, typing.Any]:
+    """Everything that `import gateway` and its results offer, by name."""
+    return {name: getattr(gateway_api, name) for name in PUBLIC}
+
+
+def _defined(name: str, found: typing.Any) -> str:
+    where = getattr(found, "__module__", gateway_api.__name__)
+    return f"{where}.{name}"
+
+
+def signatures() -> str:
+    """What a program relies on: a line for each public name, and for each member of a class."""
+    lines = []
+    for name, found in public().items():
+        lines.append(f"{name}{_signature(found)}")
+        lines += [f"{name}.{member}{_member(found, member)}" for member in PUBLIC[name]]
+    return "\n".join([*lines, ""])
+
+
+def _signature(found: typing.Any) -> str:
+    if isinstance(found, tuple):
+        return f" = {found!r}"
+    if isinstance(found, type) and (found.__name__ in BUILT or issubclass(found, Exception)):
+        return f"({', '.join(base.__name__ for base in found.__bases__)})"
+    return str(inspect.signature(found))
+
+
+def _member(found: type, name: str) -> str:
+    member = inspect.getattr_static(found, name, None)
+    if inspect.isfunction(member):
+        return str(inspect.signature(member))
+    get = getattr(member, "fget", getattr(member, "func", None))
+    return f": {inspect.signature(get).return_annotation}" if get else ""
 
 
 def main() -> None:
