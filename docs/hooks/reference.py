@@ -11,6 +11,7 @@ import argparse
 import inspect
 import os
 import re
+import tomllib
 import types
 import typing
 from collections.abc import Iterable, Iterator
@@ -54,6 +55,7 @@ PUBLIC: dict[str, tuple[str, ...]] = {
 """Names of the Python API, with those members of a class that are public."""
 BUILT = ("Run", "Judged", "Config")
 """Classes that only we make an object of, or whose arguments are the keys of a file."""
+MEANINGS = tomllib.loads(Path(__file__).with_name("meanings.toml").read_text(encoding="utf-8"))
 SIGNS = {Gt: ">", Ge: ">=", Lt: "<", Le: "<="}
 BOUNDS = {Gt: "gt", Ge: "ge", Lt: "lt", Le: "le"}
 NUMBERED = "Drive1_"
@@ -146,7 +148,7 @@ def configuration() -> str:
         "authentication": config.Authentication,
     }  # fmt: skip
     for name, model in sections.items():
-        out += [f"## [{name}]", "", _about(model), "", *_table(model), ""]
+        out += [f"## [{name}]", "", _about(model), "", *_table(model, "configuration", name), ""]
     return "\n".join(out)
 
 
@@ -160,16 +162,17 @@ def scenario_page() -> str:
         "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1.",
         "",
     ]
-    out += ["## Top level", "", *_table(scenario.Scenario), ""]
+    out += ["## Top level", "", *_table(scenario.Scenario, "scenario", "top"), ""]
     for name, part in (("event", scenario.Event), ("expect", scenario.Expect)):
-        out += [f"## [[{name}]]", "", _about(part), "", *_table(part), ""]
+        out += [f"## [[{name}]]", "", _about(part), "", *_table(part, "scenario", name), ""]
     for name, field in scenario.Scenario.model_fields.items():
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, SimStrict):
-            out += [f"## [{name}]", "", _about(kind), "", *_table(kind), ""]
+            out += [f"## [{name}]", "", _about(kind), "", *_table(kind, "scenario", name), ""]
         if name == "load":
             for key, part in (("disturbance", Disturbance), ("curve", Curve)):
-                out += [f"## [[load.{key}]]", "", _about(part), "", *_table(part), ""]
+                rows = _table(part, "scenario", f"load.{key}")
+                out += [f"## [[load.{key}]]", "", _about(part), "", *rows, ""]
     out += ["## Shipped", "", "| name | title |", "|---|---|"]
     for path in sorted(Path(scenarios.__path__[0]).glob("*.toml")):
         title = scenario.load(str(path)).title
@@ -181,13 +184,19 @@ def _about(model: type[BaseModel]) -> str:
     return inspect.getdoc(model) or ""
 
 
-def _table(model: type[BaseModel]) -> list[str]:
+def _table(model: type[BaseModel], page: str, section: str) -> list[str]:
+    """Raises LookupError for a key without a meaning, and for a meaning without its key."""
     rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
+    told = dict(MEANINGS[page].get(section, {}))
     for name, field in model.model_fields.items():
         if field.exclude:
             continue
-        cells = (f"`{field.alias or name}`", _type(field), _default(field), field.description or "")
+        key = field.alias or name
+        meaning = field.description or told.pop(key)
+        cells = (f"`{key}`", _type(field), _default(field), meaning)
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    if told:
+        raise LookupError(f"[{section}] has no {', '.join(told)}")
     return rows
 
 

@@ -53,3 +53,17 @@ def test_a_changed_signature_of_the_api_needs_a_changelog_entry(reference):
     entries = [ROOT / "CHANGELOG.md", *(ROOT / "changelog.d").glob("[0-9+]*.md")]
     written = [path for path in entries if f"<!-- API {digest} -->" in path.read_text("utf-8")]
     assert written, f"the entry about the change ends with <!-- API {digest} -->"
+
+
+@pytest.mark.parametrize("page", ["configuration", "scenario_page", "messages"])
+def test_every_key_and_signal_has_a_meaning(reference, page):
+    made = reference.messages("traction.dbc") if page == "messages" else getattr(reference, page)()
+    rows = [line.split(" | ") for line in made.splitlines() if line.startswith("| `")]
+    assert len(rows) > 40
+    assert not [row[0] for row in rows if not row[-1].strip(" |")]
+
+
+def test_a_meaning_of_a_key_that_does_not_exist_is_refused(reference, monkeypatch):
+    monkeypatch.setitem(reference.MEANINGS["configuration"]["loop"], "rate", "of the loop")
+    with pytest.raises(LookupError, match=r"\[loop\] has no rate"):
+        reference.configuration()
