@@ -159,7 +159,8 @@ def scenario_page() -> str:
         "",
         "One TOML file is a simulated run, a test on the virtual clock and a test on a real bus.",
         "The [tutorial](../tutorials/hil_tests.md) has an example. Required are `title`,",
-        "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1.",
+        "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1; with",
+        "`--config`, drive 2 is the second `[[drive]]`, whatever its node.",
         "",
     ]
     out += ["## Top level", "", *_table(scenario.Scenario, "scenario", "top"), ""]
