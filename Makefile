@@ -163,20 +163,27 @@ lock:
 
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
+# Runs a command that may print nothing for a minute: on a terminal the seconds are counted.
+define counted
+@echo '$(1)'
+@if [ -t 1 ]; then (n=0; while sleep 1 && kill -0 $$$$; do n=$$((n + 1)); printf '%s s\r' $$n; done) \
+	2>/dev/null & fi; $(1)
+endef
+
 # A machine without a C compiler gets one from pip.
 $(VENV)/.libraries: requirements-demo.lock requirements-compiler.lock
-	$(PYTHON) -m venv $(VENV)
-	$(PIP) --require-hashes -r requirements-demo.lock
-	command -v cc >/dev/null || $(PIP) --require-hashes -r requirements-compiler.lock
+	$(call counted,$(PYTHON) -m venv $(VENV))
+	$(call counted,$(PIP) --require-hashes -r requirements-demo.lock)
+	$(call counted,command -v cc >/dev/null || $(PIP) --require-hashes -r requirements-compiler.lock)
 	touch $@
 
 # compat: a path in a .pth file; the other way of an editable install costs every start an import.
 $(VENV)/.program: $(VENV)/.libraries pyproject.toml setup.py core_build.py $(CORE_C) $(CORE_H)
-	$(PIP) --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
+	$(call counted,$(PIP) --no-deps --no-build-isolation --config-settings editable_mode=compat -e .)
 	touch $@
 
 $(VENV)/.tools: requirements.lock | $(VENV)/.program
-	$(PIP) --require-hashes -r requirements.lock
+	$(call counted,$(PIP) --require-hashes -r requirements.lock)
 	touch $@
 
 # What the program needs is enough for `make demo`; all else has the tests' tools beside it.

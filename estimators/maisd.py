@@ -9,7 +9,7 @@ import numpy as np
 from _traction_core import ffi, lib
 
 from dbc.arrays import Array, Flags
-from estimators._core import pointer
+from dbc.records import pointer
 
 
 def window(samples: int, motors: int, points: int) -> Array:

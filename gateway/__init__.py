@@ -25,21 +25,26 @@ if _is_program() and _signal.getsignal(_signal.SIGINT) is _signal.default_int_ha
     _signal.signal(_signal.SIGINT, lambda *_: os._exit(130))
 
 import importlib  # noqa: E402
-from typing import Any  # noqa: E402
+from typing import TYPE_CHECKING, Any  # noqa: E402
 
-_API = (
+if TYPE_CHECKING:  # at run time `__getattr__` imports them
+    from gateway.api import (  # noqa: I001
+        Config, ConfigError, Evidence, Gateway, InputError, Opinion, detectors, replay, scenario,
+    )  # fmt: skip
+
+__all__ = [
     "Config", "ConfigError", "Evidence", "Gateway", "InputError", "Opinion", "detectors", "replay",
     "scenario",
-)  # fmt: skip
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Import a name of the API on first use, so that a command imports only what it uses."""
-    if name not in _API:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module("gateway.api"), name)
 
 
 def __dir__() -> list[str]:
     """Names for completion in a notebook."""
-    return [*globals(), *_API]
+    return [*globals(), *__all__]

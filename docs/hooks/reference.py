@@ -10,8 +10,8 @@ from __future__ import annotations
 import argparse
 import inspect
 import os
-import pkgutil
 import re
+import tomllib
 import types
 import typing
 from collections.abc import Iterable, Iterator
@@ -27,10 +27,8 @@ from pydantic import AfterValidator, BaseModel
 from pydantic.fields import FieldInfo
 
 import dbc
-import estimators
-import gateway
-import sim
 from dbc.toml_files import Within
+from gateway import api as gateway_api
 from gateway import cli
 from gateway.settings import config
 from sim import scenario, scenarios
@@ -40,9 +38,26 @@ from sim.scenario_schema import Strict as SimStrict
 ROOT = Path(__file__).parents[2]
 COMMITTED = ("scenarios", "configuration", "messages")
 """Pages in docs/reference that other pages refer to."""
+PUBLIC: dict[str, tuple[str, ...]] = {
+    "replay": (),
+    "scenario": (),
+    "Run": ("flags", "estimates", "events", "known", "frames", "to_pandas", "report"),
+    "Scenario": ("run",),
+    "Judged": ("verdicts", "passed"),
+    "Config": (),
+    "InputError": (),
+    "ConfigError": ("problems",),
+    "Gateway": ("step",),
+    "detectors": (),
+    "Evidence": (),
+    "Opinion": (),
+}
+"""Names of the Python API, with those members of a class that are public."""
+BUILT = ("Run", "Judged", "Config")
+"""Classes that only we make an object of, or whose arguments are the keys of a file."""
+MEANINGS = tomllib.loads(Path(__file__).with_name("meanings.toml").read_text(encoding="utf-8"))
 SIGNS = {Gt: ">", Ge: ">=", Lt: "<", Le: "<="}
 BOUNDS = {Gt: "gt", Ge: "ge", Lt: "lt", Le: "le"}
-TOP = {"duration_s": "Duration of the run."}
 NUMBERED = "Drive1_"
 _NUMBERED = re.compile("(Adhesion|Thermal)([2-9]|1[0-6])")
 """Of sixteen alike drives and flags the first stands for all."""
@@ -90,7 +105,7 @@ def pages() -> dict[str, str]:
         "scenarios": scenario_page(),
         "messages": messages("traction.dbc"),
         "messages_fd": messages("traction_fd.dbc"),
-        **{f"api_{package.__name__}": api(package) for package in (dbc, estimators, gateway, sim)},
+        "api": api(),
     }
 
 
@@ -130,27 +145,8 @@ def configuration() -> str:
         "authentication": config.Authentication,
     }  # fmt: skip
     for name, model in sections.items():
-        comments = _comments(example, name.removesuffix(".NAME"))
-        out += [f"## [{name}]", "", _about(model), "", *_table(model, comments), ""]
+        out += [f"## [{name}]", "", _about(model), "", *_table(model, "configuration", name), ""]
     return "\n".join(out)
-
-
-def _comments(example: str, section: str) -> dict[str, str]:
-    """What the commented example says of each key of a section."""
-    found: dict[str, str] = {}
-    here, last = False, ""
-    for line in example.splitlines():
-        if head := re.match(r"(?:# )?\[+(\w+)", line):
-            here, last = head[1] == section, ""
-        elif key := re.match(r"(?:# )?(\w+) = .*?\s#\s(.*)", line):
-            last = key[1] if here and key[1] not in found else ""
-            if last:
-                found[last] = key[2]
-        elif last and (more := re.match(r"\s{8,}#\s(.*)", line)):
-            found[last] += " " + more[1]
-        else:
-            last = ""
-    return found
 
 
 def scenario_page() -> str:
@@ -160,19 +156,21 @@ def scenario_page() -> str:
         "",
         "One TOML file is a simulated run, a test on the virtual clock and a test on a real bus.",
         "The [tutorial](../tutorials/hil_tests.md) has an example. Required are `title`,",
-        "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1.",
+        "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1; with",
+        "`--config`, drive 2 is the second `[[drive]]`, whatever its node.",
         "",
     ]
-    out += ["## Top level", "", *_table(scenario.Scenario, TOP), ""]
+    out += ["## Top level", "", *_table(scenario.Scenario, "scenario", "top"), ""]
     for name, part in (("event", scenario.Event), ("expect", scenario.Expect)):
-        out += [f"## [[{name}]]", "", _about(part), "", *_table(part), ""]
+        out += [f"## [[{name}]]", "", _about(part), "", *_table(part, "scenario", name), ""]
     for name, field in scenario.Scenario.model_fields.items():
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, SimStrict):
-            out += [f"## [{name}]", "", _about(kind), "", *_table(kind), ""]
+            out += [f"## [{name}]", "", _about(kind), "", *_table(kind, "scenario", name), ""]
         if name == "load":
             for key, part in (("disturbance", Disturbance), ("curve", Curve)):
-                out += [f"## [[load.{key}]]", "", _about(part), "", *_table(part), ""]
+                rows = _table(part, "scenario", f"load.{key}")
+                out += [f"## [[load.{key}]]", "", _about(part), "", *rows, ""]
     out += ["## Shipped", "", "| name | title |", "|---|---|"]
     for path in sorted(Path(scenarios.__path__[0]).glob("*.toml")):
         title = scenario.load(str(path)).title
@@ -184,20 +182,20 @@ def _about(model: type[BaseModel]) -> str:
     return inspect.getdoc(model) or ""
 
 
-def _table(model: type[BaseModel], comments: dict[str, str] | None = None) -> list[str]:
-    """A row for each key; without meanings if the text above the table has them all."""
-    rows = [["key", "type", "default", "meaning"]]
+def _table(model: type[BaseModel], page: str, section: str) -> list[str]:
+    """Raises LookupError for a key without a meaning, and for a meaning without its key."""
+    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
+    told = dict(MEANINGS[page].get(section, {}))
     for name, field in model.model_fields.items():
         if field.exclude:
             continue
         key = field.alias or name
-        meaning = (comments or {}).get(key) or field.description or ""
-        if not meaning and _words(field.annotation).endswith("table"):
-            meaning = f"See the section `{key}` below."
-        rows.append([f"`{key}`", _type(field), _default(field), meaning])
-    width = 4 if any(row[3] for row in rows[1:]) else 3
-    lines = ["| " + " | ".join(c.replace("|", "\\|") for c in row[:width]) + " |" for row in rows]
-    return [lines[0], "|" + "---|" * width, *lines[1:]]
+        meaning = field.description or told.pop(key)
+        cells = (f"`{key}`", _type(field), _default(field), meaning)
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    if told:
+        raise LookupError(f"[{section}] has no {', '.join(told)}")
+    return rows
 
 
 def _type(field: FieldInfo) -> str:
@@ -288,22 +286,49 @@ def _signal(signal: Signal) -> str:
     return f"| {name} | {bits} | {value.strip()} | {signal.unit or ''} | {meaning} |"
 
 
-def api(package: object) -> str:
-    """A heading per public module; mkdocstrings fills in what its docstrings say."""
-    name = getattr(package, "__name__")  # noqa: B009
-    out = [f"# {name}", ""]
-    for module in _modules(package):
-        out += [f"::: {module}", ""]
+def api() -> str:
+    """A heading per public name; mkdocstrings fills in what its docstrings say."""
+    out = ["# Python API", "", "These names are stable; all others are private.", ""]
+    for name, found in public().items():
+        shown = ", ".join(PUBLIC[name])
+        options = ["    options:", f"      members: [{shown}]", f'      heading: "gateway.{name}"']
+        out += [f"::: {_defined(name, found)}", *options, ""]
     return "\n".join(out)
 
 
-def _modules(package: object) -> Iterator[str]:
-    name, path = getattr(package, "__name__"), getattr(package, "__path__")  # noqa: B009
-    for info in sorted(pkgutil.walk_packages(path, f"{name}."), key=lambda i: i.name):
-        parts = info.name.split(".")
-        hidden = any(part.startswith("_") for part in parts) or "scenarios" in parts
-        if not hidden and parts[-1] not in {"build", "plugin"} and parts[1:2] != ["commands"]:
-            yield info.name
+def public() -> dict[str, typing.Any]:
+    """Everything that `import gateway` and its results offer, by name."""
+    return {name: getattr(gateway_api, name) for name in PUBLIC}
+
+
+def _defined(name: str, found: typing.Any) -> str:
+    where = getattr(found, "__module__", gateway_api.__name__)
+    return f"{where}.{name}"
+
+
+def signatures() -> str:
+    """What a program relies on: a line for each public name, and for each member of a class."""
+    lines = []
+    for name, found in public().items():
+        lines.append(f"{name}{_signature(found)}")
+        lines += [f"{name}.{member}{_member(found, member)}" for member in PUBLIC[name]]
+    return "\n".join([*lines, ""])
+
+
+def _signature(found: typing.Any) -> str:
+    if isinstance(found, tuple):
+        return f" = {found!r}"
+    if isinstance(found, type) and (found.__name__ in BUILT or issubclass(found, Exception)):
+        return f"({', '.join(base.__name__ for base in found.__bases__)})"
+    return str(inspect.signature(found))
+
+
+def _member(found: type, name: str) -> str:
+    member = inspect.getattr_static(found, name, None)
+    if inspect.isfunction(member):
+        return str(inspect.signature(member))
+    get = getattr(member, "fget", getattr(member, "func", None))
+    return f": {inspect.signature(get).return_annotation}" if get else ""
 
 
 def main() -> None:

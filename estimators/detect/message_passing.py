@@ -23,7 +23,7 @@ import numpy as np
 from _traction_core import lib
 
 from dbc.arrays import Array
-from estimators._core import pointer
+from dbc.records import pointer
 from estimators.detect import paper
 from estimators.detect.protocol import Evidence, Opinion, nobody
 

@@ -28,7 +28,7 @@ from _traction_core import lib
 from numpy.typing import NDArray
 
 from dbc.arrays import Array
-from estimators._core import pointer
+from dbc.records import pointer
 from estimators.detect import paper
 from estimators.detect.paper import Arrays, Observe
 from estimators.detect.protocol import Evidence, Opinion, nobody

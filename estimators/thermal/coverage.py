@@ -13,7 +13,7 @@ import numpy as np
 from _traction_core import lib
 
 from dbc.arrays import Array
-from estimators._core import Records, pointer
+from dbc.records import Records, pointer
 from estimators.thermal.monitor import Coverage, ThermalMonitor
 
 START: Final = 5

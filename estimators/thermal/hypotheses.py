@@ -26,8 +26,9 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc import records
 from dbc.arrays import Array
-from estimators._core import pointer, records
+from dbc.records import pointer
 from estimators.thermal import model
 from estimators.thermal.model import Inputs, predict
 

@@ -17,8 +17,9 @@ import numpy as np
 from _traction_core import lib
 from numpy.typing import NDArray
 
+from dbc import records
 from dbc.arrays import Array
-from estimators._core import Records, pointer, records
+from dbc.records import Records, pointer
 from estimators.thermal.record import Record
 
 NAMES: Final = (

@@ -25,8 +25,9 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc import records
 from dbc.arrays import Array
-from estimators._core import Addressed, Records, pointer, records
+from dbc.records import Addressed, Records, pointer
 from estimators.thermal import model, step_detector
 from estimators.thermal.hypotheses import HEAT, KINDS
 from estimators.thermal.record import CUT_OUT, Record

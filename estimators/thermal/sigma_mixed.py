@@ -22,8 +22,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from _traction_core import lib
 
+from dbc import records
 from dbc.arrays import Array
-from estimators._core import Records, pointer, records
+from dbc.records import Records, pointer
 from estimators.thermal.record import Record, fading
 
 SIGMA_MIXED_CONFIG: Final = records.SIGMA_MIXED_CONFIG

@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from _traction_core import lib
 
-from estimators._core import Records, pointer, records
+from dbc import records
+from dbc.records import Records, pointer
 
 BEFORE_S, AFTER_S, SETTLED_S = 20.0, 5.0, 25.0
 STEP_K: Final = 1.5

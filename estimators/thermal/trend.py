@@ -9,7 +9,7 @@ import math
 
 from _traction_core import lib
 
-from estimators._core import Records, pointer
+from dbc.records import Records, pointer
 
 
 def rate_of(trend: Records) -> tuple[float, float] | None:

@@ -47,7 +47,8 @@ def bound(config: Config) -> Codec:
     from dbc.codec import bind
 
     def codec() -> Codec:
-        return bind(config.dbc_path, config.nodes)
+        with config.naming("dbc.file", config.dbc_path):
+            return bind(config.dbc_path, config.nodes)
 
     try:
         return codec()

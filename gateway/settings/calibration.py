@@ -200,7 +200,8 @@ def of(config: Config) -> Calibration | None:
     path = config.calibration_path
     if path is None:
         return None
-    out = load(path, config.nodes, config.thermal.window_s, config.sealed.get("calibration"))
+    with config.naming("thermal.calibration", path):
+        out = load(path, config.nodes, config.thermal.window_s, config.sealed.get("calibration"))
     rate = config.thermal.false_alarms_per_1000_h
     return out if rate is None else out.promising(rate)
 

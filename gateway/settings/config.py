@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -131,6 +132,16 @@ class Config(Strict):
     def error(self, problems: list[str]) -> ConfigError:
         """Return an error with these problems and the lines of the file where they are."""
         return ConfigError(self.source, numbered(dict.fromkeys(problems), self.text))
+
+    @contextmanager
+    def naming(self, key: str, path: Path) -> Iterator[None]:
+        """Name the key, and its line, of a file that does not exist."""
+        try:
+            yield
+        except InputError as error:
+            if path.exists():
+                raise
+            raise self.error([" ".join([f"{key}:", *str(error).split()])]) from None
 
     def signals_path(self, position: int, key: str = "") -> str:
         """Path of the drive's signals in the file, or of a key of them; position: of the drive."""

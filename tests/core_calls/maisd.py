@@ -6,7 +6,7 @@ import numpy as np
 from _traction_core import lib
 
 from dbc.arrays import Array, Flags
-from estimators._core import pointer
+from dbc.records import pointer
 
 
 def push(ring: Array, seen: int, values: Array, present: Flags) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-from estimators._core import pointer
+from dbc.records import pointer
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from _traction_core import lib
 
 from dbc.arrays import Array
-from estimators._core import pointer
+from dbc.records import pointer
 from estimators.thermal.step_detector import MOST_SAMPLES, SLOWEST_S, config, window
 
 

@@ -77,3 +77,20 @@ def test_no_function_name_stands_for_many_things():
     )
     often = {name for name, count in names.items() if count > MOST}
     assert often == set(PROTOCOLS)
+
+
+def private(path):
+    """Private names that it imports from the product, and names of the product that it patches."""
+    text = path.read_text(encoding="utf-8")
+    product = "|".join(PACKAGES)
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES:
+            names = [*node.module.split("."), *(alias.name for alias in node.names)]
+            yield from (name for name in names if name.startswith("_"))
+    yield from re.findall(rf'\bsetattr\(\s*f?"((?:{product})\.[\w.{{}}]+)"', text)
+
+
+def test_few_tests_know_private_names_or_patch_by_a_text():
+    found = {path.name for path in (ROOT / "tests").rglob("*.py") if [*private(path)]}
+    assert "test_fleet.py" in found
+    assert len(found) <= 10, sorted(found)

@@ -1,22 +1,14 @@
 """The Python API as a notebook uses it: `import gateway`, a log, tables."""
 
 import csv
-import inspect
 
 import duckdb
 import pandas as pd
 import pytest
+from mypy import api as mypy
 
 import gateway
 from gateway.cli import main
-
-SIGNATURES = {
-    "replay": "(log: 'FilePath', config: 'Config | FilePath | None' = None, *, "
-    "channel: 'str | None' = None, detector: 'str | Detector | None' = None, "
-    "start: 'FilePath | None' = None) -> 'Run'",
-    "scenario": "(name: 'FilePath') -> 'Scenario'",
-}
-"""Public ones: a change of them needs an entry in changelog.d, and this line."""
 
 
 @pytest.fixture(scope="module")
@@ -159,11 +151,19 @@ def test_a_report_is_that_of_the_command(run, results, tmp_path):
     assert "expectations held" in judged.report(tmp_path / "hil").read_text()
 
 
-def test_names_are_public_and_signatures_are_kept():
+def test_names_are_public_and_typed(tmp_path):
+    """`tests/docs/test_reference.py` compares their signatures."""
     assert {"replay", "scenario", "Config", "Gateway", "detectors"} <= set(dir(gateway))
     assert "switching" in gateway.detectors
-    for name, signature in SIGNATURES.items():
-        assert str(inspect.signature(getattr(gateway, name))) == signature
+    program = tmp_path / "program.py"
+    program.write_text("import gateway\nreveal_type(gateway.replay('x').report('y'))\n"
+                       "gateway.replay(7)\ngateway.scenario('x').walk()\n")  # fmt: skip
+    words = ["--config-file=", "--follow-imports=silent", "--cache-dir", str(tmp_path)]
+    shown, _, code = mypy.run([*words, str(program)])
+    assert code == 1
+    assert 'Revealed type is "pathlib.Path"' in shown
+    assert '"Scenario" has no attribute "walk"' in shown
+    assert 'Argument 1 to "replay" has incompatible type "int"' in shown
     with pytest.raises(AttributeError, match="nothing"):
         _ = gateway.nothing
 

@@ -1,7 +1,5 @@
 """What is learnt while a filter runs: the noise of its sensors, the voltage its motor lacks."""
 
-import math
-
 import numpy as np
 import pytest
 from _traction_core import lib
@@ -11,6 +9,7 @@ from estimators import filters
 from estimators.models import pmsm
 from tests.core_calls import acquisition, adaptation
 from tests.filter_records import samples
+from tests.reference import adaptation as reference
 
 adapt_r, adapt_q_bias = lib.adapt_r, lib.adapt_q_bias
 R_SCALE_MAX = 400.0
@@ -55,54 +54,49 @@ def test_a_burst_is_not_noise():
     assert now < 1.35 * at[-1], "30 ms of an edge cost no more than this"
 
 
-def test_innovations_change_their_own_filter_one_by_one():
-    """The loop against `adapt_r` and `adapt_q_bias` called by hand."""
-    rng = np.random.default_rng(3)
-    n, dt = 3, 125e-6
+def drawn(rng, n, extreme):
+    """Filters, chords and motors of n drives, in any state; extreme: those of a damaged record."""
     motor = pmsm.table(pmsm.repeat(pmsm.BENCH_MOTOR, n))
+    motor[:, [0, 2]] *= rng.uniform(0.1, 10.0, (n, 2))
     chords, drives = acquisition.start(n), filters.unstarted(n)
-    chords.w, chords.ready = 100.0, [1, 1, 0]
-    drives.active, rated = [1, 0, 1], np.full(n, 25.0)
-    drives.x[:, 2] = 104.0
-    plain = [[0, 2.0, 1.0, 0.0] for _ in range(n)]
-    most = q_bias_limit(104.0, motor[0, 0], motor[0, 2], 25.0)
+    chords.w, chords.ready = rng.normal(0, 300, n), rng.random(n) < 0.8
+    drives.active, drives.steps = rng.random(n) < 0.8, rng.integers(0, 2 * SETTLED, n)
+    drives.x[:, 2] = chords.w + rng.normal(0, 30, n)
+    drives.r_scale, drives.v_q_bias = rng.uniform(1.0, R_SCALE_MAX, n), rng.normal(0, 1, n)
+    if extreme:
+        chords.w, drives.x[:, 2] = rng.choice(EXTREMES, (2, n))
+        drives.steps = rng.choice([0, SETTLED - 1, SETTLED, 1 << 40], n)
+        drives.r_scale = rng.choice([1.0, R_SCALE_MAX], n)
+    return motor, chords, drives
+
+
+EXTREMES = np.array([0.0, -0.0, 1e-300, -1e300, 1e300, np.inf, -np.inf, np.nan])
+
+
+@pytest.mark.parametrize("extreme", [False, True])
+@pytest.mark.parametrize("seed", range(5))
+def test_innovations_change_their_own_filter_as_the_laws_say(seed, extreme):
+    """One by one, against `tests/reference/adaptation.py`."""
+    rng = np.random.default_rng(seed)
+    n, dt = 16, 125e-6
+    motor, chords, drives = drawn(rng, n, extreme)
+    rated, expected = rng.uniform(5.0, 500.0, n), drives.copy()
     for _ in range(50):
         drive = rng.integers(0, n, 12)
-        nis = np.where(rng.random(12) < 0.1, np.nan, 20.0 * rng.random(12))
-        steps = rng.integers(1, 17, 12)
+        nis = np.where(rng.random(12) < 0.1, np.nan, rng.exponential(5.0, 12))
+        if extreme:
+            nis = rng.choice(EXTREMES, 12)
         none = np.zeros((12, 2))
-        rows = samples(drive, none, none, steps, 0, nis)
+        rows = samples(drive, none, none, rng.integers(1, 17, 12), 0, nis)
         adaptation.adapt(rows, drives, chords, motor, rated, dt)
-        for d, value, step in zip(drive.tolist(), nis.tolist(), steps.tolist(), strict=True):
-            row = plain[d]
-            if drives.active[d]:
-                row[0] += step
-                if value == value:
-                    row[1] += 0.2 * (value - row[1])
-                    row[2] = adapt_r(row[2], value, step * dt, row[0] * dt)
-                if row[0] >= SETTLED and chords.ready[d]:
-                    row[3] = adapt_q_bias(row[3], 4.0, motor[d, 2], step * dt, most, row[0] * dt)
-    assert drives.steps.tolist() == [row[0] for row in plain]
-    columns = (drives.nis, drives.r_scale, drives.v_q_bias)
-    for k, values in enumerate(columns, 1):
-        np.testing.assert_allclose(values, [row[k] for row in plain], rtol=1e-12)
-    assert drives.r_scale[0] > 1.0
-    assert drives.r_scale[1] == 1.0
-    assert drives.v_q_bias[0] > 0.0
-    assert drives.v_q_bias[1] == drives.v_q_bias[2] == 0.0
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_scale_of_r_is_the_exponential_law(seed):
-    """Against libm's exponential, at any numbers."""
-    rng = np.random.default_rng(seed)
-    for now, nis, dt, age in zip(
-        rng.uniform(1.0, 400.0, 500), rng.exponential(5.0, 500), 10.0 ** rng.uniform(-5, 1, 500),
-        rng.exponential(1.0, 500), strict=True,
-    ):  # fmt: skip
-        tau = min(max(0.25 * age, 0.03), 0.5)
-        want = now * math.exp((min(nis, 8.0) / 2.0 - 1.0) * min(dt / tau, 1.0))
-        assert adapt_r(now, nis, dt, age) == pytest.approx(min(max(want, 1.0), 400.0), rel=1e-14)
+        with np.errstate(over="ignore"):
+            reference.adapt(rows, expected, chords, motor, rated, dt)
+        assert drives.steps.tolist() == expected.steps.tolist()
+        for name in ("nis", "r_scale", "v_q_bias"):
+            np.testing.assert_allclose(drives[name], expected[name], 1e-11, 1e-13, err_msg=name)
+    if not extreme:
+        assert (drives.r_scale != 1.0).any()
+        assert (drives.v_q_bias != 0.0).any()
 
 
 def test_the_first_missing_voltage_is_what_the_chords_are_too_long_by():

@@ -1,5 +1,7 @@
 """Errors of mapped signals: all at once, each with the line and the key where it stands."""
 
+import re
+
 import pytest
 
 from gateway.mapping.plan import plans
@@ -86,6 +88,18 @@ def test_a_missing_dbc_is_named_at_its_line(tmp_path):
     text = HEAD.replace("m.dbc", "no.dbc") + USE
     (line,) = problems(tmp_path, text)
     assert line == f"line {line_of(text, 'dbc')}: inverter.mine.dbc: no.dbc: no such file"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [('[dbc]\nfile = "no.dbc"\n', "line 2: dbc.file: "),
+     ('[thermal]\ncalibration = "no.toml"\n', "line 2: thermal.calibration: ")],
+)  # fmt: skip
+def test_a_file_that_is_missing_is_named_with_the_key_that_names_it(refused, tmp_path, text, named):
+    path = tmp_path / "train.toml"
+    path.write_text(text)
+    missing = tmp_path / re.search('"(.*)"', text)[1]
+    assert f"train.toml: {named}{missing}: no such file" in refused("check", path)
 
 
 def test_signals_of_one_drive_keep_their_path(tmp_path):

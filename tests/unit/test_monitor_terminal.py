@@ -336,7 +336,6 @@ def test_what_cannot_be_shown_is_one_line(refused, log, monkeypatch, tmp_path):
     assert "for a log" in refused("monitor", "-i", "virtual", "-c", "x", "--at", "3")
     assert "name one" in refused("monitor")
     monkeypatch.setitem(sys.modules, "textual", None)
-    monkeypatch.setattr("gateway.io.extras.find_spec", lambda name: None)
     assert "pip install 'textual>=8' 'textual-plotext" in refused("monitor", log)
 
 

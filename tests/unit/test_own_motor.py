@@ -2,8 +2,11 @@
 
 import pytest
 
+import gateway
 from gateway.cli import main
+from gateway.hil.fitting import fitted
 from gateway.hil.own_motor import save_scenario, with_motor_of
+from gateway.hil.pytest.bench import HilBench
 from gateway.settings.config import ConfigError, load, parse
 from gateway.settings.motors import TRACTION_350KW
 from sim.physics.plant import MOTORS
@@ -105,3 +108,47 @@ def test_a_motor_in_the_scenario_itself():
 def test_half_a_motor_is_refused(motor, problem):
     with pytest.raises(ScenarioError, match=problem):
         scenario_of({"title": "a", "duration_s": 1.0, "motor": motor})
+
+
+def test_drive_2_of_a_scenario_is_the_second_of_the_configuration_whatever_its_node(
+    tmp_path, refused
+):
+    config, path = tmp_path / "train.toml", tmp_path / "second.toml"
+    config.write_text("".join(f"[[drive]]\nnode = {node}\n" for node in (3, 7, 2)))
+    path.write_text("""
+title = "second"
+duration_s = 4
+[[event]]
+at_s = 2
+for_s = 1
+drive = 2
+kind = "adhesion_loss"
+depth = 0.9
+[[expect]]
+flag = "adhesion"
+is = "bad"
+drive = 2
+after_s = 2
+within_ms = 200
+[[expect]]
+flag = "adhesion"
+is = "bad"
+drive = "others"
+never = true
+""")
+    run = gateway.scenario(path).run(config)
+    assert run.passed, run.verdicts
+    assert [verdict.text.split(" ")[3] for verdict in run.verdicts] == ["7", "3", "2"]
+    line = refused("hil", path, "--config", config, "-i", "virtual", "-c", "x")
+    assert "simulated on a bus as nodes (1, 2, 3), [[drive]] names (3, 7, 2)" in line
+
+
+def test_the_truth_of_a_bench_is_that_of_each_node(tmp_path):
+    config = tmp_path / "train.toml"
+    config.write_text("".join(f"[[drive]]\nnode = {node}\n" for node in (2, 3, 1)))
+    event = {"kind": "adhesion_loss", "depth": 0.9, "drive": 1, "at_s": 0.2}
+    given = {"title": "first", "duration_s": 1, "event": [event]}
+    bench = HilBench(*fitted(config, scenario_of(given, "first")))
+    bench.run(0.5)
+    assert [node for node, lost in bench.lost.items() if any(one for _, one in lost)] == [2]
+    bench.close()

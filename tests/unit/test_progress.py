@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+import select
 import subprocess
 import sys
 import threading
@@ -19,8 +20,12 @@ ROOT = Path(__file__).parents[2]
 LEFT = re.compile(r"left (?:\x1b\[[\d;]*m)*(?:-:--:--|\d+:\d\d:\d\d)")
 
 
-def on_terminal(*words, cwd):
-    """Exit code, and what the program wrote to a pseudo-terminal."""
+def on_terminal(*words, cwd, until=None):
+    """Exit code, and what the program wrote to a pseudo-terminal.
+
+    until: the program waits for the file `shown`, which is made once this text has been read, or
+    has not come in a minute.
+    """
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "120"}
     with subprocess.Popen(
@@ -28,6 +33,10 @@ def on_terminal(*words, cwd):
     ) as process:
         os.close(theirs)
         data = b""
+        while until and until.encode() not in data and select.select([ours], [], [], 60)[0]:
+            data += read(ours)
+        if until:
+            (cwd / "shown").touch()
         while chunk := read(ours):
             data += chunk
     os.close(ours)
@@ -75,6 +84,29 @@ def test_a_terminal_is_told_the_time_left_and_a_pipe_is_not(verb, folder, monkey
     assert LEFT.search(shown), shown[-2000:]
     assert not LEFT.search(piped)
     assert "\x1b" not in piped
+
+
+@pytest.mark.parametrize("made", [".libraries", ".program", ".tools"])
+def test_make_counts_the_seconds_of_an_installation_that_is_silent(made, tmp_path):
+    """A program that prints nothing stands for Python and pip, and ends once seconds are shown."""
+    venv, silent = tmp_path / "venv", tmp_path / "bin" / "silent"
+    for path in (silent, venv / "bin" / "pip"):
+        path.parent.mkdir(parents=True)
+        path.write_text("#!/bin/sh\nwhile [ ! -e shown ]; do sleep 0.1; done; exit 7\n")
+        path.chmod(0o755)
+    if made != ".libraries":
+        (venv / ".libraries").touch()
+    if made == ".tools":
+        (venv / ".program").touch()
+    words = "make", "-f", str(ROOT / "Makefile"), f"VENV={venv}", f"PYTHON={silent}"
+    for name in ("requirements.lock", "requirements-demo.lock", "requirements-compiler.lock",
+                 "pyproject.toml", "setup.py", "core_build.py"):  # fmt: skip
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (1, 1))
+    code, shown = on_terminal(*words, str(venv / made), cwd=tmp_path, until="2 s\r")
+    assert code == 2
+    assert "2 s\r" in shown, shown
+    assert "Error 7" in shown
 
 
 def test_the_steps_of_a_bar_are_counted_when_they_are_done(monkeypatch, capsys):

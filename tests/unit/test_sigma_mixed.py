@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from _traction_core import ffi, lib
 
-from estimators._core import pointer
+from dbc.records import pointer
 from estimators.thermal.sigma_mixed import KAPPA, Lumps, SigmaMixedFilter, estimate
 from tests.core_calls import mixture
 from tests.reference import mixture as reference_mixture

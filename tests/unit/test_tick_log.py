@@ -13,7 +13,7 @@ from _traction_core import ffi, lib
 from dbc.records import pointer
 from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
-from gateway.reports.record import _ADHESION, Coded, Table
+from gateway.reports.record import ADHESION, Coded, Table, by_code
 from gateway.reports.ticks import TickLog
 from tests.stations import temperatures_of
 from tests.storm.train import TICK, train
@@ -68,7 +68,7 @@ def test_any_numbers_are_written_as_python_writes_them(seed):
 
 def test_words_stand_for_codes_and_a_time_before_zero_is_written():
     codes = np.array([Flag.GOOD, Flag.BAD, Flag.UNKNOWN, Flag.GOOD], np.uint8)
-    lines = written([-1, 2], [Coded(codes, _ADHESION), np.array([1.0, 2.0, 3.0, 4.0])])
+    lines = written([-1, 2], [Coded(codes, by_code(ADHESION)), np.array([1.0, 2.0, 3.0, 4.0])])
     assert lines == [
         "-1.999999999,1,Adhering,1.0000", "-1.999999999,3,AdhesionLost,2.0000",
         "0.000000002,1,Unknown,3.0000", "0.000000002,3,Adhering,4.0000",

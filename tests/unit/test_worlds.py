@@ -1,5 +1,7 @@
 """The worlds that `evaluate` knows: each of its own machines, through one scorer."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -51,7 +53,7 @@ def test_a_world_of_the_other_side_is_refused(words, known, refused):
 
 
 def test_without_motulator_it_says_what_to_install(monkeypatch, refused):
-    monkeypatch.setattr("gateway.io.extras.find_spec", lambda _name: None)
+    monkeypatch.setitem(sys.modules, "motulator", None)
     words = ["evaluate", "--world", "motulator", "--seeds", "0-0", "--family", "one"]
     assert "--world motulator: needs motulator" in refused(*words, "--detector", "switching")
 

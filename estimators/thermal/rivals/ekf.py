@@ -25,8 +25,9 @@ from typing import NamedTuple
 import numpy as np
 from _traction_core import ffi, lib
 
+from dbc import records
 from dbc.arrays import Array
-from estimators._core import pointer, records
+from dbc.records import pointer
 from estimators.thermal.record import Record
 from estimators.thermal.rivals.dpca import TINY, Scorer, moving, span, usual
 

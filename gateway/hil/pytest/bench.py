@@ -111,8 +111,7 @@ class HilBench:
         self.frames.extend(sorted([*tick.drives, *tick.gateway]))
         self.flags.track.add(tick.gateway)
         for row in self._world.simulation.truth_rows():
-            node = self.nodes[row.drive - 1] if row.drive <= len(self.nodes) else row.drive
-            self.lost[node].append((round(row.t_s * SECOND), bool(row.lost)))
+            self.lost[row.drive].append((round(row.t_s * SECOND), bool(row.lost)))
 
 
 def scenario_of(tables: Mapping[str, Any], title: str) -> Scenario:
