@@ -22,10 +22,13 @@ _CSS: Final = re.compile(
 def clock_ns(text: str) -> int:
     """Nanoseconds of a time of day, `22:20:14.992`, also with a colon or comma for the point.
 
+    Behind a colon, up to three digits are a number of ms, which SavvyCAN writes without zeros.
     Hours have no limit, because it may be a time since a start. Raises ValueError.
     """
     hours, minutes, rest = text.split(":", 2)
-    seconds, _, fraction = rest.replace(":", ".").replace(",", ".").partition(".")
+    second, colon, ms = rest.partition(":")
+    rest = f"{second}.{ms:0>3}" if colon else rest
+    seconds, _, fraction = rest.replace(",", ".").partition(".")
     if int(minutes) >= 60 or int(seconds) >= 60:
         raise ValueError(text)
     whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)

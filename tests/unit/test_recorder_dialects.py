@@ -94,6 +94,10 @@ LOGS = [
     ("a.log", BUSMASTER + "0:0:1:0603 Tx 1 0x150 sr 8 00 00 00 00 00 00 00 00\n"
      "0:0:2:0000 Rx 1 0x151 s 1 05\n",
      ["1.0603 150#R8 T", "2 151#05"], {"comment": 2}),
+    # SavvyCAN's BUSMASTER: 2 and 37 ms.
+    ("a.log", BUSMASTER + "0:0:1:992 Rx 1 151 s 1 05\n0:0:2:2 Rx 1 151 s 1 06\n"
+     "0:0:2:37 Rx 1 151 s 1 07\n", ["1.992 151#05", "2.002 151#06", "2.037 151#07"],
+     {"comment": 2}),
     # Lines of TRC that somebody has cut out of a file: their times are ms.
     ("a.txt", "   335)      4486.6  Rx     05150000  2  00 01 \n336)  4486.9  Rx  022A0000  0  \n",
      ["4.4866 05150000#0001", "4.4869 022A0000#"], {}),
