@@ -75,13 +75,23 @@ static void add_quantity(struct motor_temperatures *motor, int quantity, double 
     motor->number[quantity] += 1.0;
 }
 
+/* 1 if the newest frame of a channel is fresh, even if its first signal alone has no value. */
+static int is_frame_fresh(const struct channel *channel, int64_t now_ns)
+{
+    const uint8_t reason = channel->reason;
+    const int first_missing = (reason == REASON_NOT_AVAILABLE || reason == REASON_RANGE) &&
+                              channel->good_ns == channel->accepted_ns;
+    const int usable = channel->good_ns >= 0 && (reason == REASON_NONE || first_missing);
+    return usable && now_ns - channel->good_ns <= channel->limit_ns;
+}
+
 /* Add current and speed of drive j, if they are known and fresh. */
 static void add_load(struct motor_temperatures *motor, const struct receiver *receiver, int j,
                      int64_t now_ns)
 {
     const struct drive_input *in = &receiver->drives[j];
     if (!isnan(in->irms) && motor->status >= 0 &&
-        is_channel_fresh(&receiver->channels[motor->status], now_ns))
+        is_frame_fresh(&receiver->channels[motor->status], now_ns))
         add_quantity(motor, THERMAL_CURRENT_SQUARE, 2.0 * (in->irms * in->irms)); /* amplitude */
     if (!isnan(in->speed) && motor->motion >= 0 &&
         is_channel_fresh(&receiver->channels[motor->motion], now_ns))

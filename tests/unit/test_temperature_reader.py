@@ -65,6 +65,15 @@ def test_a_slow_record_reads_as_the_whole_gateway_reads_it(tmp_path, cycle_ms):
     assert_same(log, config)
 
 
+@pytest.mark.parametrize("signal", ["TorqueCommand", "State", "FaultCode"])
+def test_the_current_is_known_without_another_signal_of_its_message(tmp_path, signal):
+    config = slow_record.config(tmp_path, 2)
+    log = tmp_path / "slow.log"
+    slow_record.write(log, config, 60, without=[(1, signal), (2, signal)])
+    second = alone(log, *prepare(config))[-1]
+    assert np.isfinite(second[3:, :, lib.THERMAL_CURRENT_SQUARE]).all()
+
+
 def test_slower_than_the_dbc_says_and_with_holes(tmp_path):
     """1 Hz with a DBC of 10 and 100 ms: most of the time each message is stale."""
     config = slow_record.config(tmp_path, 2)
