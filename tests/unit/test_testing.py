@@ -8,7 +8,7 @@ import pytest
 from dbc.frame import MS
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
-from tests.programs import ended
+from tests.programs import ended, gateway
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "regression"
 
@@ -203,6 +203,13 @@ def test_files_of_a_user_may_have_the_names_of_our_packages(tmp_path, python, sc
     done = run_pytest(tmp_path, python=python)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{passed} passed" in done.stdout
+
+
+def test_the_program_as_a_module_passes_by_files_with_the_names_of_our_packages(tmp_path):
+    for name in ("dbc", "sim", "estimators"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('mine')")
+    done = gateway("check", EXAMPLE.parent / "train.toml", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
 
 
 def test_options_that_do_not_go_together_are_refused(tmp_path):
