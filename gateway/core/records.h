@@ -365,11 +365,11 @@ struct mux_range {
 
 /* A message set; constant. Made by dbc/codec_tables.py. */
 struct codec {
-    const struct message *messages;
-    const struct signal *signals;
-    const struct mux_range *mux_ranges;
-    const uint64_t *present; /* signals in a frame of a listed message, one bit each */
-    int32_t message_count;
+    const struct message *messages; /* (message_count) messages; the index of one is its number */
+    const struct signal *signals;   /* signals of all messages, one message after the other */
+    const struct mux_range *mux_ranges; /* ranges that select signals; those of one are adjacent */
+    const uint64_t *present;            /* signals in a frame of a listed message, one bit each */
+    int32_t message_count;              /* number of `messages` */
     int32_t width; /* columns of a decoded row: most signals that one message has */
 };
 
@@ -548,7 +548,7 @@ struct thermal_burst {
 
 /* Constants of one motor, learnt from fault-free runs. */
 struct thermal_motor_config {
-    struct thermal_parameters model;
+    struct thermal_parameters model; /* thermal model of the motor */
     double centre_k[THERMAL_POINTS]; /* K, residual beside the other motors' */
     double noise_k[THERMAL_POINTS];  /* K, standard deviation of a single reading */
     double block_noise_k;            /* K, standard deviation of a block's median */
@@ -558,13 +558,13 @@ struct thermal_motor_config {
 
 /* Settings of a train's thermal monitor; constant. */
 struct thermal_config {
-    struct imm_config imm;
-    struct step_config steps;
-    double dt_s;         /* s, time from one sample to the next */
-    double gap_s;        /* s without inputs after which a motor's model starts again */
-    double duty_speed;   /* rad/s, mean speed in them */
-    double duty_cooling; /* K/s, mean cooling of the frame */
-    double duty_copper;  /* K/s, mean heating of the winding */
+    struct imm_config imm;    /* settings of the filters for faults */
+    struct step_config steps; /* settings of the step detectors */
+    double dt_s;              /* s, time from one sample to the next */
+    double gap_s;             /* s without inputs after which a motor's model starts again */
+    double duty_speed;        /* rad/s, mean speed in them */
+    double duty_cooling;      /* K/s, mean cooling of the frame */
+    double duty_copper;       /* K/s, mean heating of the winding */
     double settles_k
         [THERMAL_LUMPS]; /* K, settled rise at the point that shows most, of 1 K/s in a lump */
     double loose_share;  /* share of a loose connector's readings that are far off */
@@ -572,12 +572,12 @@ struct thermal_config {
     double far_sigma;    /* standard deviations from which on a reading is far off */
     double burst_length; /* readings in a burst: they are not independent */
     double far_k;        /* K, a smaller distance in a block is not far off: heat may cause it */
-    double loose_begin_per_s; /* 1/s, rate at which a connector comes loose */
-    double loose_end_per_s;   /* 1/s, rate at which a loose connector is mended */
-    double learn_per_s;       /* 1/s, rate at which a fault-free motor's baseline is learnt */
-    double raise_probability; /* probability above which a fault is reported: at least 0.9 */
-    struct cut_out_config cut_out;
-    int32_t block; /* samples of a block, at least 1 */
+    double loose_begin_per_s;      /* 1/s, rate at which a connector comes loose */
+    double loose_end_per_s;        /* 1/s, rate at which a loose connector is mended */
+    double learn_per_s;            /* 1/s, rate at which a fault-free motor's baseline is learnt */
+    double raise_probability;      /* probability above which a fault is reported: at least 0.9 */
+    struct cut_out_config cut_out; /* which motors turn without current while others are driven */
+    int32_t block;                 /* samples of a block, at least 1 */
 };
 
 /* State of one motor; `thermal_motor_reset` sets it to nothing known. */
@@ -605,10 +605,10 @@ struct thermal_motor {
     double size_k;                  /* K, likely size of the fault */
     double log_likelihood;          /* log likelihood of the last block */
     double fault_probability;       /* probability of any fault, before hysteresis */
-    struct imm_state imm;
-    double driven_mode[IMM_MODES]; /* probabilities of the modes when `parked_s` was last 0 */
-    int32_t judged;                /* number of blocks judged so far */
-    uint8_t started;               /* 1: the model runs */
+    struct imm_state imm;           /* filters of the modes, as of the last judged block */
+    double driven_mode[IMM_MODES];  /* probabilities of the modes when `parked_s` was last 0 */
+    int32_t judged;                 /* number of blocks judged so far */
+    uint8_t started;                /* 1: the model runs */
     uint8_t lost;    /* 1: its inputs were unknown for too long: it has to start again */
     uint8_t held;    /* 1: a fault is reported */
     uint8_t trusted; /* 1: in the last block other motors were compared with it */
@@ -854,11 +854,11 @@ struct temperature_sensor {
 
 /* Temperature sensors of one drive. */
 struct temperature_drive {
-    int64_t period_ns;   /* cycle time of the readings; constant */
-    int64_t received_ns; /* stamp of the last reading */
-    int64_t first_ns;    /* stamp of the first reading */
-    int64_t readings;    /* number of readings */
-    struct temperature_sensor sensor[THERMAL_POINTS];
+    int64_t period_ns;                                /* cycle time of the readings; constant */
+    int64_t received_ns;                              /* stamp of the last reading */
+    int64_t first_ns;                                 /* stamp of the first reading */
+    int64_t readings;                                 /* number of readings */
+    struct temperature_sensor sensor[THERMAL_POINTS]; /* sensors by point, without ambient */
 };
 
 /* ---- received messages (gateway/core/receive.c, pairing.c, supervision.c); times in ns, -1: none */
@@ -931,13 +931,13 @@ struct channel {
     int32_t columns
         [MAX_USED_COLUMNS]; /* signals that the gateway uses, in gateway/core/channel.py's order */
     uint8_t kind;           /* enum channel_kind */
-    struct e2e_config e2e_config;
+    struct e2e_config e2e_config; /* protection of its frames */
     /* state */
-    struct e2e_state e2e_state;
-    int64_t received_ns; /* stamp of the last frame, good or bad */
-    int64_t accepted_ns; /* stamp of the last frame with good protection */
-    int64_t good_ns;     /* stamp of the last frame whose values could be used */
-    struct sequence_guard guard;
+    struct e2e_state e2e_state;        /* state of the receiver of that protection */
+    int64_t received_ns;               /* stamp of the last frame, good or bad */
+    int64_t accepted_ns;               /* stamp of the last frame with good protection */
+    int64_t good_ns;                   /* stamp of the last frame whose values could be used */
+    struct sequence_guard guard;       /* signs of a second sender of this message */
     uint8_t last_frame[PAYLOAD_BYTES]; /* bytes of the last frame with a good checksum */
     uint8_t reject_reason;             /* enum reason why the last values could not be used */
     uint8_t protection_reason;         /* enum reason of the last error of the protection */
@@ -966,7 +966,7 @@ struct drive_input {
     struct half_sample pending[2][PAIR_COUNTERS]; /* by enum channel_kind, by counter */
     int64_t sample_ns;                            /* stamp of the last sample */
     int64_t sample_counter;                       /* counter of the last sample */
-    struct sample_clock clock;
+    struct sample_clock clock;                    /* delays of its samples */
     int64_t newest_sample;   /* row of its newest sample in this tick; -1: none */
     double current_sum;      /* smoothed |Ia + Ib + Ic|, A */
     double speed;            /* rotor speed, rad/s */
@@ -993,11 +993,11 @@ struct heartbeat {
 
 /* Heartbeats of all nodes. */
 struct supervision {
-    struct heartbeat *nodes;
-    int64_t malformed;  /* number of heartbeat frames of a wrong format */
-    int64_t timeout_ns; /* shortest consumer time-out */
-    int64_t period_ns;  /* configured heartbeat period; 0: the received one */
-    int32_t node_count;
+    struct heartbeat *nodes;      /* (node_count) heartbeats of the drives' nodes */
+    int64_t malformed;            /* number of heartbeat frames of a wrong format */
+    int64_t timeout_ns;           /* shortest consumer time-out */
+    int64_t period_ns;            /* configured heartbeat period; 0: the received one */
+    int32_t node_count;           /* number of `nodes` */
     int32_t row[HEARTBEAT_NODES]; /* index in `nodes` by node number; -1: not a drive's node */
 };
 
@@ -1020,15 +1020,15 @@ struct received {
 
 /* State of the receiving stations. All arrays have room for as many frames as a tick may have. */
 struct receiver {
-    const struct codec *codec;
-    struct channel *channels;
-    struct drive_input *drives;
-    struct supervision *supervision;
-    const struct id_entry *ids;
-    int64_t channel_count;
-    int64_t drive_count;
-    int64_t id_count;
-    int64_t max_gap_ns; /* after longer without a sample, a drive's filter starts anew */
+    const struct codec *codec;       /* codec of the received messages */
+    struct channel *channels;        /* (channel_count) received messages of all drives */
+    struct drive_input *drives;      /* (drive_count) last inputs */
+    struct supervision *supervision; /* heartbeats of the drives' nodes */
+    const struct id_entry *ids; /* (id_count) owners of all known identifiers, ascending by `key` */
+    int64_t channel_count;      /* number of `channels` */
+    int64_t drive_count;        /* number of drives */
+    int64_t id_count;           /* number of `ids` */
+    int64_t max_gap_ns;         /* after longer without a sample, a drive's filter starts anew */
     int64_t standard_ids[STANDARD_IDS]; /* owner of each 11-bit identifier, as `id_entry.channel` */
     /* accepted frames of the tick, decoded */
     int64_t *channel;  /* index of the frame's channel */
@@ -1056,9 +1056,9 @@ struct receiver {
     int64_t received;              /* frames received since the start */
     int64_t counters[RX_COUNTERS]; /* frames by enum rx_counter, since the start */
     int64_t unpaired;              /* halves of samples without a counterpart, since the start */
-    int64_t late;     /* samples rejected because they came too late, since the start */
-    int64_t left_out; /* samples that senders left out without counting them, since the start */
-    struct received tick;
+    int64_t late;         /* samples rejected because they came too late, since the start */
+    int64_t left_out;     /* samples that senders left out without counting them, since the start */
+    struct received tick; /* counts of the current tick */
 };
 
 /* ---- sent messages, and the load of the bus (gateway/core/transmit.c, busload.c) */
@@ -1125,11 +1125,11 @@ struct tx_signal {
 /* One message that the gateway sends. */
 struct tx_message {
     /* constants */
-    int64_t cycle_ns; /* cycle time, at least 1 */
-    struct e2e_config e2e_config;
-    int32_t signal_count;
-    uint8_t on_change; /* 1: also sent when a flag that reports faults changes */
-    const struct tx_signal *signals;
+    int64_t cycle_ns;                /* cycle time, at least 1 */
+    struct e2e_config e2e_config;    /* protection of its frames */
+    int32_t signal_count;            /* number of `signals` */
+    uint8_t on_change;               /* 1: also sent when a flag that reports faults changes */
+    const struct tx_signal *signals; /* (signal_count) sources of values, in the codec's order */
     /* state */
     int64_t next_ns; /* stamp when it is due */
     uint8_t counter; /* number of frames sent, modulo 256 */
@@ -1137,9 +1137,9 @@ struct tx_message {
 
 /* One frame that is sent. */
 struct tx_frame {
-    int64_t t_ns;    /* stamp */
-    int32_t message; /* index of its `struct tx_message` */
-    uint8_t data[PAYLOAD_BYTES];
+    int64_t t_ns;                /* stamp */
+    int32_t message;             /* index of its `struct tx_message` */
+    uint8_t data[PAYLOAD_BYTES]; /* data bytes; zeros after the message's length */
 };
 
 /* Counts and measurements, as they are sent. NaN: not known. */
@@ -1157,16 +1157,16 @@ struct gateway_counts {
 /* State of the transmitting station; messages are in the order of their identifiers. */
 struct transmitter {
     /* constants */
-    const struct codec *codec; /* codec of these messages */
-    struct tx_message *messages;
-    int32_t message_count;
-    int32_t drive_count;
-    int64_t tick_ns;  /* period of the loop */
-    int64_t slack_ns; /* what is due within this time is due now */
+    const struct codec *codec;   /* codec of these messages */
+    struct tx_message *messages; /* (message_count) messages in the order of their identifiers */
+    int32_t message_count;       /* number of `messages`, and most frames of one tick */
+    int32_t drive_count;         /* number of drives */
+    int64_t tick_ns;             /* period of the loop */
+    int64_t slack_ns;            /* what is due within this time is due now */
     /* state */
-    struct gateway_counts counts;
-    uint8_t *thermal_sent;   /* (drives) thermal flags of the last tick (enum flag_state) */
-    uint8_t summary_sent[4]; /* sensor, comm, estimator and overrun of the last tick */
+    struct gateway_counts counts; /* counts and measurements to be sent */
+    uint8_t *thermal_sent;        /* (drives) thermal flags of the last tick (enum flag_state) */
+    uint8_t summary_sent[4];      /* sensor, comm, estimator and overrun of the last tick */
     /* workspace for one frame: (width of the codec) */
     double *value;  /* value of each signal; NaN: sent as not available */
     uint8_t *given; /* 1: the signal has a value; 0: it keeps its start value */
@@ -1193,14 +1193,14 @@ struct trend {
 
 /* Monitor of all motors; `struct thermal_motor` holds the state of each. */
 struct thermal_monitor {
-    const struct thermal_config *config;
+    const struct thermal_config *config;      /* settings, the same for all motors */
     const struct thermal_motor_config *known; /* (motor_count) constants of the motors */
     struct thermal_motor *motors;             /* (motor_count) states of the motors */
     struct motor_current *currents;           /* (motor_count) which of them are driven */
     double *workspace;                        /* 11 numbers per motor */
-    int32_t motor_count;
-    int32_t position; /* number of samples in the current block */
-    int32_t waiting;  /* motors, the last ones, whose last block is not judged yet */
+    int32_t motor_count;                      /* number of motors */
+    int32_t position;                         /* number of samples in the current block */
+    int32_t waiting; /* motors, the last ones, whose last block is not judged yet */
 };
 
 /* ---- temperatures in the gateway (gateway/core/thermal.c, thermal_evidence.c) */
@@ -1244,12 +1244,12 @@ struct motor_temperatures {
     double total[THERMAL_QUANTITIES];  /* sums over the current second */
     double number[THERMAL_QUANTITIES]; /* number of values in each sum */
     double mean[THERMAL_QUANTITIES];   /* means over the last complete second; NaN: no value */
-    struct trend trend;
-    double step_k[THERMAL_POINTS];    /* K, last known offset by steps of each sensor */
-    int64_t jumps;                    /* how often `step_k` has changed */
-    struct thermal_evidence evidence; /* evidence of the last judgement */
-    int64_t valid_until_ns;           /* `evidence` stands until then; NO_TIME: to be judged anew */
-    uint8_t fresh;                    /* 1: its readings are within their age limit */
+    struct trend trend;                /* degradation relative to the other motors */
+    double step_k[THERMAL_POINTS];     /* K, last known offset by steps of each sensor */
+    int64_t jumps;                     /* how often `step_k` has changed */
+    struct thermal_evidence evidence;  /* evidence of the last judgement */
+    int64_t valid_until_ns; /* `evidence` stands until then; NO_TIME: to be judged anew */
+    uint8_t fresh;          /* 1: its readings are within their age limit */
     uint8_t left_out; /* 1: it was cut out, and is colder than the driven ones: not compared */
 };
 
@@ -1280,8 +1280,8 @@ struct temperature_window {
 /* Temperature monitor of all motors. */
 struct temperature_monitor {
     /* constants */
-    int64_t period_ns; /* cycle time of the readings */
-    int32_t drive_count;
+    int64_t period_ns;         /* cycle time of the readings */
+    int32_t drive_count;       /* number of drives, each with one motor */
     int32_t cycles_per_second; /* number of readings in one sample of the model */
     double named;   /* share of a fault's probability from which heat, or a sensor, is named */
     uint8_t method; /* enum thermal_method */
@@ -1290,7 +1290,7 @@ struct temperature_monitor {
     struct thermal_monitor *model;     /* NULL: no model */
     struct motor_current *currents;    /* (drive_count), those of the model if there is one */
     struct cut_out_config cut_out;     /* without a model */
-    struct temperature_window window;
+    struct temperature_window window;  /* averages over the window, and their comparison */
     /* state */
     int64_t next_ns; /* stamp when the next temperature cycle is due; NO_TIME: no reading yet */
     int64_t cycles;  /* number of temperature cycles so far */
@@ -1299,14 +1299,15 @@ struct temperature_monitor {
     uint8_t second_complete; /* 1: the last cycle completed a second */
     uint8_t dirty;           /* 1: evidence may have changed since it was last reported */
     /* workspace for one sample of the model: (drives, THERMAL_POINTS) and (drives) */
-    double *reading;
-    struct thermal_input *input;
+    double *reading; /* (drives, THERMAL_POINTS) degC, means of a second; NaN: no value */
+    struct thermal_input *input; /* (drives) inputs of the model, means of the same second */
 };
 
 /* Temperature cycles of all motors, from which a calibration is learnt (thermal_log.c). */
 struct temperature_log {
-    int64_t capacity, count; /* cycles */
-    int64_t cycles;          /* `cycles` of the monitor when the last cycle was logged */
+    int64_t capacity; /* most cycles that fit */
+    int64_t count;    /* number of logged cycles */
+    int64_t cycles;   /* `cycles` of the monitor when the last cycle was logged */
     /* (capacity) */
     uint8_t *second_complete; /* 1: the cycle completed a second */
     /* (capacity, drives, THERMAL_POINTS) */
@@ -1336,8 +1337,8 @@ enum candump_line {
 
 /* Name of a CAN interface, as in a line. */
 struct interface_name {
-    uint8_t text[CANDUMP_MAX_NAME];
-    uint8_t length; /* number of bytes; 0: no name, or one that no line can have */
+    uint8_t text[CANDUMP_MAX_NAME]; /* bytes of the name; the first `length` count */
+    uint8_t length;                 /* number of bytes; 0: no name, or one that no line can have */
 };
 
 /* Frames as columns (dbc/frames.py), one row per frame. */
@@ -1377,8 +1378,8 @@ struct text_shape {
 
 /* Head of a line: the text between its time and its data. */
 struct text_head {
-    uint8_t text[TEXT_MAX_HEAD];
-    uint8_t length; /* number of bytes; 0: no head */
+    uint8_t text[TEXT_MAX_HEAD]; /* bytes of the head; the first `length` count */
+    uint8_t length;              /* number of bytes; 0: no head */
 };
 
 /* ---- which inputs are valid (gateway/core/inputs.c) ---- */
@@ -1479,10 +1480,10 @@ struct plausibility {
     int64_t angle_ns;        /* stamp of the last compared reading */
     int64_t angle_fitted_ns; /* stamp of the last reading that fitted */
     /* readings in a row that do not fit */
-    int64_t angle_misfits;
-    int64_t torque_misfits;
+    int64_t angle_misfits;  /* the current's angle is too far from `base` */
+    int64_t torque_misfits; /* the currents make another torque than the drive sends */
     int64_t excess_misfits; /* more torque than the currents can make */
-    int64_t load_misfits;
+    int64_t load_misfits;   /* the load of the filter differs from that of the observer */
     int64_t motion_misfits; /* Motion does not change */
     /* Motion as it last changed */
     double speed;       /* speed as sent, rad/s */
@@ -1496,15 +1497,15 @@ struct plausibility {
 
 /* Records of n drives, and common constants, for motion.c and plausibility.c. */
 struct motion_monitor {
-    const struct receiver *receiver;
-    struct input_status *inputs;
-    struct drive_estimate *estimates;
-    struct filter *filters;
-    const struct acquisition *chords;
-    struct current_calibration *sensors;
-    struct rotor *rotors;
-    struct motion *motions;
-    struct plausibility *checks;
+    const struct receiver *receiver;     /* received frames and samples of this tick */
+    struct input_status *inputs;         /* (n,) validity of the inputs */
+    struct drive_estimate *estimates;    /* (n,) by the filters; motion.c may replace them */
+    struct filter *filters;              /* (n,) filters of the estimator */
+    const struct acquisition *chords;    /* (n,) flux chords of the estimator */
+    struct current_calibration *sensors; /* (n,) errors of the current sensors */
+    struct rotor *rotors; /* (n,) rotors of the train; here only `unreliable_until_ns` is written */
+    struct motion *motions;      /* (n,) comparison of Motion with the estimates */
+    struct plausibility *checks; /* (n,) plausibility of currents and Motion */
     double *others;          /* (n, n) measured speeds of all drives: a row for each tick in which
                                 Motion of some drives changed last */
     int64_t *noted;          /* (n,) the row of every drive; below n */
@@ -1516,7 +1517,7 @@ struct motion_monitor {
     double dt;               /* sub-step of samples, s */
     int64_t motion_cycle_ns; /* cycle time of Motion, at least 1 */
     int64_t tick_ns;         /* period of the loop */
-    int64_t n;
+    int64_t n;               /* number of drives */
 };
 
 /* ---- Adhesion (gateway/core/loads.c, adhesion.c). Loads and torques are per unit of rated torque;
@@ -1545,29 +1546,29 @@ struct drive_load {
 /* State of the adhesion station; `adhesion_reset` sets it to nothing remembered. */
 struct adhesion {
     /* constants */
-    const struct flag_rules *rules;
-    struct vb_priors priors;
-    double tick_s;      /* period of the loop, s */
-    int32_t iterations; /* number of iterations of the detector `vb` */
-    int32_t n;          /* number of drives */
+    const struct flag_rules *rules; /* times and thresholds of the adhesion flags */
+    struct vb_priors priors;        /* prior of the detector `vb`; not used by others */
+    double tick_s;                  /* period of the loop, s */
+    int32_t iterations;             /* number of iterations of the detector `vb` */
+    int32_t n;                      /* number of drives */
     /* of every drive, (n,) */
-    struct rotor *rotors;
-    struct rotor_inputs *rotor_inputs;
+    struct rotor *rotors; /* ratings of the rotor, and its state relative to the train */
+    struct rotor_inputs *rotor_inputs;  /* results of the preceding stations in this tick */
     struct command_response *responses; /* load and command in the direction of the motor */
     struct load_ratio *response_ratios; /* load over the drive's own command, as learnt */
     struct load_ratio *ratios;          /* load over that of the others, as learnt */
     struct load_observation *observed;  /* workspace */
-    struct drive_load *loads;
+    struct drive_load *loads;           /* load of the drive: results of this tick, and state */
     /* what the detector is given: loads as if the drives were equal and fully commanded */
-    double *normalised;
-    double *sigma;     /* standard deviation of a healthy drive's load around the common one */
-    uint8_t *known;    /* 1: the load is known */
-    uint8_t *compared; /* 1: the load is known, and a measure for other drives */
+    double *normalised; /* load over `command_ratio` and over the learnt ratio; valid if `known` */
+    double *sigma;      /* standard deviation of a healthy drive's load around the common one */
+    uint8_t *known;     /* 1: the load is known */
+    uint8_t *compared;  /* 1: the load is known, and a measure for other drives */
     /* what it finds; fused with the responses in place */
-    double *loss_probability;
-    uint8_t *loss_known; /* 1: `loss_probability` is valid */
-    uint8_t *may_learn;  /* 1: the drive certainly adheres */
-    double *workspace;   /* 5 n numbers */
+    double *loss_probability; /* probability of lost adhesion, 0 to 1 */
+    uint8_t *loss_known;      /* 1: `loss_probability` is valid */
+    uint8_t *may_learn;       /* 1: the drive certainly adheres */
+    double *workspace;        /* 5 n numbers */
     /* state */
     struct load_spread response_spread; /* of loads over commands */
     struct load_spread spread;          /* of loads over the common one */
@@ -1599,21 +1600,21 @@ struct filter_track {
 /* The filters of n drives; `estimator_reset` sets them to nothing known. */
 struct estimator {
     /* constants, of every drive, (n,) */
-    const struct pmsm *motors;
-    const struct filter_noise *noise;
-    const double *rated_a;  /* rated current, A, above 0 */
-    const double *rated_nm; /* rated torque, Nm */
+    const struct pmsm *motors;        /* motor constants */
+    const struct filter_noise *noise; /* noise of the filters */
+    const double *rated_a;            /* rated current, A, above 0 */
+    const double *rated_nm;           /* rated torque, Nm */
     /* constants of all */
-    struct acquisition_limits limits;
-    struct filter_settings settings;
-    double tick_s; /* period of the loop, s */
-    int32_t n;     /* number of drives */
+    struct acquisition_limits limits; /* speeds at which a drive becomes ready, or no longer is */
+    struct filter_settings settings;  /* sub-step, kind of filter, scaling of the UKF */
+    double tick_s;                    /* period of the loop, s */
+    int32_t n;                        /* number of drives */
     /* of every drive, (n,) */
-    struct filter *filters;
-    struct acquisition *chords;
-    struct current_calibration *sensors;
-    struct filter_track *tracks;
-    struct filter_sample *samples; /* of the last tick; room for as many as the receiver's */
+    struct filter *filters;              /* filters of the rotors */
+    struct acquisition *chords;          /* flux chords, from which filters start */
+    struct current_calibration *sensors; /* errors of the current sensors, as learnt */
+    struct filter_track *tracks;         /* state beside the filters */
+    struct filter_sample *samples;       /* of the last tick; room for as many as the receiver's */
 };
 
 /* ---- frames from a socket (dbc/socketcan.c) ---- */
@@ -1631,35 +1632,35 @@ enum frame_flag {
 
 /* Layout of struct canfd_frame; a struct can_frame (linux/can.h) has only 8 bytes of data. */
 struct socket_frame {
-    uint32_t id;        /* identifier, with three flags above it */
-    uint8_t length;     /* number of data bytes; any number may come */
-    uint8_t flags;      /* flags of CAN FD */
-    uint8_t reserved;   /* not used */
-    uint8_t raw_length; /* of a classic frame of 8 bytes: its DLC, 9 to 15; else 0 */
-    uint8_t data[PAYLOAD_BYTES];
+    uint32_t id;                 /* identifier, with three flags above it */
+    uint8_t length;              /* number of data bytes; any number may come */
+    uint8_t flags;               /* flags of CAN FD */
+    uint8_t reserved;            /* not used */
+    uint8_t raw_length;          /* of a classic frame of 8 bytes: its DLC, 9 to 15; else 0 */
+    uint8_t data[PAYLOAD_BYTES]; /* data bytes; those after `length` have no meaning */
 };
 
 /* Room for one message: struct iovec. */
 struct socket_vector {
-    struct socket_frame *frame;
-    size_t bytes;
+    struct socket_frame *frame; /* where the kernel writes the frame */
+    size_t bytes;               /* bytes that fit there */
 };
 
 /* struct msghdr of recvmsg(2). */
 struct socket_header {
-    uint8_t *name;
-    uint32_t name_size;
+    uint8_t *name;                /* address of the sender; NULL: not wanted */
+    uint32_t name_size;           /* bytes at `name`; 0 without it */
     struct socket_vector *vector; /* one */
-    size_t vectors;
-    uint8_t *control;    /* aligned as a pointer is */
-    size_t control_size; /* bytes: room before, used after the call */
-    int32_t flags;       /* MSG_TRUNC and others */
+    size_t vectors;               /* number of vectors: 1 */
+    uint8_t *control;             /* aligned as a pointer is */
+    size_t control_size;          /* bytes: room before, used after the call */
+    int32_t flags;                /* MSG_TRUNC and others */
 };
 
 /* struct mmsghdr of recvmmsg(2). */
 struct socket_message {
-    struct socket_header head;
-    uint32_t size; /* number of received bytes */
+    struct socket_header head; /* buffers of the message */
+    uint32_t size;             /* number of received bytes */
 };
 
 /* Two clocks at one instant, ns. */
@@ -1708,14 +1709,14 @@ struct integrity {
 
 /* One tick: values of the whole train. */
 struct tick_row {
-    int64_t t_ns;            /* stamp of the tick */
-    double bus_load_percent; /* NaN: not known */
-    struct train_status train;
+    int64_t t_ns;              /* stamp of the tick */
+    double bus_load_percent;   /* NaN: not known */
+    struct train_status train; /* what was published of all drives together */
 };
 
 /* One drive in one tick; NaN: not known. */
 struct drive_row {
-    struct drive_status status;
+    struct drive_status status;     /* what was published of the drive */
     double degradation_k_h;         /* rate of degradation, K/h */
     double degradation_sigma_k_h;   /* standard deviation of that rate, K/h */
     double hours_to_limit;          /* h, until the motor is limit_k warmer than the others */
@@ -1726,7 +1727,8 @@ struct drive_row {
 struct tick_log {
     struct tick_row *ticks;   /* (capacity) */
     struct drive_row *drives; /* (capacity, drives) */
-    int64_t capacity, count;  /* ticks */
+    int64_t capacity;         /* most ticks that fit */
+    int64_t count;            /* number of logged ticks */
     double limit_k;           /* K by which a motor may grow warmer than the others */
 };
 
@@ -1737,8 +1739,8 @@ struct tick_log {
 
 /* A word of a table. */
 struct table_word {
-    uint8_t text[TABLE_MAX_WORD];
-    uint8_t length; /* number of bytes */
+    uint8_t text[TABLE_MAX_WORD]; /* bytes of the word; the first `length` count */
+    uint8_t length;               /* number of bytes */
 };
 
 /* A column of a table: numbers, or words by their codes. */
@@ -1751,11 +1753,11 @@ struct table_column {
 
 /* A table with a row for each tick and each of its drives. */
 struct table {
-    const int64_t *t_ns;  /* (ticks) */
-    const int32_t *nodes; /* (drive_count) */
-    const struct table_column *columns;
-    int32_t drive_count;
-    int32_t column_count;
+    const int64_t *t_ns;                /* (ticks) */
+    const int32_t *nodes;               /* (drive_count) */
+    const struct table_column *columns; /* (column_count) columns after time and node */
+    int32_t drive_count;                /* number of drives, and rows of one tick */
+    int32_t column_count;               /* number of `columns` */
 };
 
 /* ---- the gateway (gateway/core/tick.c) ---- */
@@ -1768,34 +1770,34 @@ enum tick_stage {
 
 /* All records of a gateway, by station, and the state of its ticks. */
 struct gateway {
-    struct receiver *receiver;
-    struct bus_load *load;
-    struct integrity *integrity;
-    const struct drive_channels *channels;
-    struct input_status *inputs;
-    struct estimator *estimator;
-    struct drive_estimate *estimates;
-    struct motion_monitor *motion;
-    struct adhesion *adhesion;
-    struct temperature_monitor *temperatures;
-    const struct flag_rules *rules;
-    struct train_inputs *train_inputs;
-    struct flag_inputs *flag_inputs;
-    struct drive_evidence *evidence;
-    struct drive_status *status;
-    struct train_status *train;
-    struct transmitter *transmitter;
+    struct receiver *receiver;             /* receiving stations */
+    struct bus_load *load;                 /* load of the bus */
+    struct integrity *integrity;           /* missed ticks, lost frames, an intruder */
+    const struct drive_channels *channels; /* (drive_count) channels, and limits of the inputs */
+    struct input_status *inputs;           /* (drive_count) validity of the inputs */
+    struct estimator *estimator;           /* filters of the drives */
+    struct drive_estimate *estimates;      /* (drive_count) estimates of this tick */
+    struct motion_monitor *motion;         /* observers of load, and plausibility of the inputs */
+    struct adhesion *adhesion;             /* adhesion station */
+    struct temperature_monitor *temperatures; /* temperature monitor of all motors */
+    const struct flag_rules *rules;    /* times and thresholds by which evidence changes flags */
+    struct train_inputs *train_inputs; /* inputs of the flags that are common to all drives */
+    struct flag_inputs *flag_inputs;   /* (drive_count) inputs of the flags of each drive */
+    struct drive_evidence *evidence;   /* (drive_count) evidence of this tick */
+    struct drive_status *status;       /* (drive_count) what is published of each drive */
+    struct train_status *train;        /* what is published of all drives together */
+    struct transmitter *transmitter;   /* transmitting station */
     /* constants */
-    int64_t period_ns; /* period of the loop */
-    int32_t drive_count;
+    int64_t period_ns;     /* period of the loop */
+    int32_t drive_count;   /* number of drives */
     uint8_t is_translated; /* 1: frames come from a translator; it counts the load of the bus */
     uint8_t detects;       /* 1: the detector is the core's own */
     /* result of a run */
     struct tx_frame *sent; /* frames of its ticks */
     int64_t sent_capacity; /* most that fit: at least those of a tick */
-    int64_t sent_count;
-    double *peak;         /* (drive_count) largest probability of loss; NaN: none */
-    struct tick_log *log; /* of its ticks; NULL: none is wanted */
+    int64_t sent_count;    /* number of frames that the run has sent */
+    double *peak;          /* (drive_count) largest probability of loss; NaN: none */
+    struct tick_log *log;  /* of its ticks; NULL: none is wanted */
     /* state */
     uint8_t stage;   /* enum tick_stage */
     uint8_t begun;   /* 1: there has been a tick */

@@ -59,6 +59,30 @@ def test_offsets_and_sizes_are_the_compilers(target, tmp_path, request):
     assert "made to fail" in wrong.stderr
 
 
+def fields_of(header):
+    """Record, field, 1 for a comment behind it: of every declaration in the text of a header."""
+    text = re.sub(r"/\*.*?\*/", "#", header, flags=re.DOTALL)
+    for record, body in re.findall(r"^struct (\w+) \{(.*?)^\};", text, re.MULTILINE | re.DOTALL):
+        for code, comment in re.findall(r"([^;#]+);( *#)?", body):
+            yield record, re.search(r"(\w+)\s*(\[[^]]*]\s*)*$", code)[1], bool(comment)
+
+
+def test_every_field_has_a_comment():
+    found = list(fields_of((ROOT / "gateway/core/records.h").read_text()))
+    named = list(dict.fromkeys(record for record, _, _ in found))
+    compiled = [(record, field) for record in named for field in RECORDS[record].names]
+    assert len(named) > 100
+    # A declaration of two fields, of which only the last is found, differs.
+    assert [(record, field) for record, field, _ in found] == compiled
+    assert [f"{record}.{field}" for record, field, comment in found if not comment] == []
+
+
+def test_a_field_without_a_comment_is_found():
+    lines = "/* of both */\n int a; /* A */\n double b[2];\n int c; int\n d[N]; /* D */\n"
+    found = list(fields_of(f"struct one {{\n{lines}}};\n"))
+    assert found == [("one", "a", 1), ("one", "b", 0), ("one", "c", 0), ("one", "d", 1)]
+
+
 def test_the_core_does_not_include_the_simulator():
     """Nor the other way round: what is true cannot reach an estimate."""
     for source in (*core_build.SOURCES, *core_build.DEPENDS):
