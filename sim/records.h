@@ -89,7 +89,7 @@ struct sim_rail {
 
 /* Load of one wheel during a period. */
 struct sim_contact {
-    struct sim_rail rail;
+    struct sim_rail rail;   /* what the wheel runs on */
     double load_nm;         /* Nm, the given load; not used on a rail */
     double v_m_s;           /* m/s, speed of the train */
     double radius_m;        /* m, radius of this wheel over the gear ratio */

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from _traction_core import lib
 
+from dbc.candump.reader import Reader
 from dbc.frames import Block
 from dbc.records import pointer
 from gateway.cli import main
@@ -13,6 +14,7 @@ from gateway.io.prepare import prepare
 from gateway.io.replay import Briefly, replay
 from gateway.study.temperature_reader import CycleLog, TemperatureReader
 from tests import slow_record
+from tests.simrun import log_of
 
 
 def whole(log, config, codec):
@@ -66,12 +68,26 @@ def test_a_slow_record_reads_as_the_whole_gateway_reads_it(tmp_path, cycle_ms):
 
 
 @pytest.mark.parametrize("signal", ["TorqueCommand", "State", "FaultCode"])
-def test_the_current_is_known_without_another_signal_of_its_message(tmp_path, signal):
+def test_the_current_is_known_without_another_signal(tmp_path, signal):
     config = slow_record.config(tmp_path, 2)
     log = tmp_path / "slow.log"
     slow_record.write(log, config, 60, without=[(1, signal), (2, signal)])
     second = alone(log, *prepare(config))[-1]
     assert np.isfinite(second[3:, :, lib.THERMAL_CURRENT_SQUARE]).all()
+
+
+def test_after_a_wrong_checksum_the_current_is_unknown(tmp_path):
+    config, log = slow_record.config(tmp_path, 2), tmp_path / "slow.log"
+    slow_record.write(log, config, 60)
+    codec = prepare(config)[1]
+    frames, damaged = list(Reader(log)), codec.by_name["Drive1_Status"].can_id
+    for k in [k for k, frame in enumerate(frames) if frame.can_id == damaged][30::2]:
+        frames[k] = frames[k]._replace(data=frames[k].data[:-1] + bytes([frames[k].data[-1] ^ 1]))
+    log_of(log, frames)
+    current = alone(log, *prepare(config))[-1][3:, :, lib.THERMAL_CURRENT_SQUARE]
+    assert np.isfinite(current[:, 1]).all()
+    assert np.isfinite(current[:25, 0]).all()
+    assert np.isnan(current[30:, 0]).all()
 
 
 def test_slower_than_the_dbc_says_and_with_holes(tmp_path):
