@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -395,8 +396,8 @@ sys.exit(main(sys.argv[1:]))
 PATIENCE_S = 120.0
 
 
-def start(*program):
-    words = ("run", "--quiet", "-i", "virtual", "-c", "service")
+def start(*program, more=()):
+    words = ("run", "--quiet", "-i", "virtual", "-c", "service", *more)
     return subprocess.Popen(
         [sys.executable, *program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
@@ -428,6 +429,24 @@ def test_a_stopped_process_is_silent_and_an_ended_one_says_so(listener):
     finally:
         process.kill()
         process.communicate()
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0, reason="only root has a priority and no limit of locked memory"
+)
+def test_the_locked_memory_is_bounded(listener):
+    process = start("-m", "gateway", more=("--realtime", "10"))
+    try:
+        until(listener, "WATCHDOG=1", 3)
+        lines = Path(f"/proc/{process.pid}/smaps_rollup").read_text("ascii").splitlines()
+        (locked,) = (int(line.split()[1]) for line in lines if line.startswith("Locked:"))
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, errors.decode()
+    finally:
+        process.kill()
+        process.communicate()
+    assert 0 < locked <= 60_000, "kB"
 
 
 def test_a_tick_that_never_ends_lets_the_watchdog_starve(listener):
