@@ -103,6 +103,7 @@ UNFIT = (
     "tests/unit/test_help_examples.py::test_they_run",
     "tests/unit/test_drivers_scheduling.py::"
     "test_what_was_given_from_outside_is_used_and_not_asked_for",
+    "tests/unit/test_drivers_service.py::test_the_locked_memory_is_bounded",
 )  # fmt: skip
 """Tests that cannot run under AddressSanitizer, and do not need it: mutants build cores of their
 own, the browser and user-mode-linux end with the library preloaded, and a program with it locks no
