@@ -52,3 +52,8 @@ def _print_timing(times_us: list[float], period_us: float) -> None:
         f"timing         a tick takes {p50:.0f} us of {period_us:.0f} us "
         f"({100 * p50 / period_us:.0f} %), p99 {p99:.0f} us, longest {ordered[-1]:.0f} us"
     )
+    if late := sum(time_us > period_us for time_us in ordered):
+        print(
+            f"               {late} of {len(ordered)} ticks took longer than the period, so their "
+            "flags would be late: free this machine, or lower [loop] rate_hz"
+        )
