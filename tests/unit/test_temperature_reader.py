@@ -5,6 +5,7 @@ import pytest
 from _traction_core import lib
 
 from dbc.candump.reader import Reader
+from dbc.e2e import protect
 from dbc.frames import Block
 from dbc.records import pointer
 from gateway.cli import main
@@ -69,25 +70,40 @@ def test_a_slow_record_reads_as_the_whole_gateway_reads_it(tmp_path, cycle_ms):
 
 @pytest.mark.parametrize("signal", ["TorqueCommand", "State", "FaultCode"])
 def test_the_current_is_known_without_another_signal(tmp_path, signal):
-    config = slow_record.config(tmp_path, 2)
-    log = tmp_path / "slow.log"
+    config, log = slow_record.config(tmp_path, 2), tmp_path / "slow.log"
     slow_record.write(log, config, 60, without=[(1, signal), (2, signal)])
     second = alone(log, *prepare(config))[-1]
     assert np.isfinite(second[3:, :, lib.THERMAL_CURRENT_SQUARE]).all()
 
 
-def test_after_a_wrong_checksum_the_current_is_unknown(tmp_path):
+NO_COMMAND = {4: 0x01, 5: 0x80}
+"""Bytes of `Status` with a torque command out of its range."""
+NOTHING = {2: 0xFF, 3: 0xFF, 4: 0xFF, 5: 0x7F}
+"""Neither the current nor the command is available."""
+
+
+@pytest.mark.parametrize(
+    ("changed", "protected", "known"),
+    [(NO_COMMAND, True, True), (NOTHING, True, False), (NO_COMMAND, False, False)],
+    ids=["command out of range", "nothing available", "wrong checksum"],
+)
+def test_a_current_is_known_as_long_as_its_own_frames_are_good(tmp_path, changed, protected, known):
     config, log = slow_record.config(tmp_path, 2), tmp_path / "slow.log"
     slow_record.write(log, config, 60)
     codec = prepare(config)[1]
-    frames, damaged = list(Reader(log)), codec.by_name["Drive1_Status"].can_id
-    for k in [k for k, frame in enumerate(frames) if frame.can_id == damaged][30::2]:
-        frames[k] = frames[k]._replace(data=frames[k].data[:-1] + bytes([frames[k].data[-1] ^ 1]))
+    frames, spec = list(Reader(log)), codec.by_name["Drive1_Status"]
+    for k in [k for k, frame in enumerate(frames) if frame.can_id == spec.can_id][30:]:
+        data = bytearray(frames[k].data)
+        for at, byte in changed.items():
+            data[at] = byte
+        if protected:
+            protect(spec, data, data[1] & 15)
+        frames[k] = frames[k]._replace(data=bytes(data))
     log_of(log, frames)
     current = alone(log, *prepare(config))[-1][3:, :, lib.THERMAL_CURRENT_SQUARE]
     assert np.isfinite(current[:, 1]).all()
     assert np.isfinite(current[:25, 0]).all()
-    assert np.isnan(current[30:, 0]).all()
+    assert (np.isfinite(current[29:, 0]) == known).all()
 
 
 def test_slower_than_the_dbc_says_and_with_holes(tmp_path):
