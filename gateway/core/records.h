@@ -1614,7 +1614,7 @@ struct estimator {
     struct acquisition *chords;          /* flux chords, from which filters start */
     struct current_calibration *sensors; /* errors of the current sensors, as learnt */
     struct filter_track *tracks;         /* state beside the filters */
-    struct filter_sample *samples;       /* of the last tick; room for as many as the receiver's */
+    struct filter_sample *samples;       /* of the last tick; as many rows as the receiver has */
 };
 
 /* ---- frames from a socket (dbc/socketcan.c) ---- */
