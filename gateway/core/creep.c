@@ -20,7 +20,7 @@
 #include <math.h>
 
 #include "estimators/numbers.h"
-#include "gateway/core/rotors.h"
+#include "gateway/core/train_tick.h"
 
 #define OWN_CREEP               0.01
 #define SPEED_SIGMA             0.1   /* rad/s, standard deviation of the speed of a rotor */

@@ -12,7 +12,7 @@
 
 #include "estimators/numbers.h"
 #include "estimators/order_statistics.h"
-#include "gateway/core/rotors.h"
+#include "gateway/core/train_tick.h"
 
 #define COASTING 0.05 /* share of rated torque; smaller commands are not compared with each other */
 #define ASKED_TAU_S   10.0 /* time constant with which the largest command is forgotten */

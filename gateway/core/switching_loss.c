@@ -15,8 +15,8 @@
 #include "estimators/detect/switching.h"
 #include "estimators/numbers.h"
 #include "gateway/core/common_loss.h"
-#include "gateway/core/rotors.h"
 #include "gateway/core/train.h"
+#include "gateway/core/train_tick.h"
 
 #define MOST_LOAD 2.0  /* per unit of rated torque; no drive carries more */
 #define SURE      0.99 /* probability of a loss that needs no confirmation */

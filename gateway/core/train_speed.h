@@ -2,7 +2,7 @@
 #ifndef TRACTION_TRAIN_SPEED_H
 #define TRACTION_TRAIN_SPEED_H
 
-#include "gateway/core/rotors.h"
+#include "gateway/core/train_tick.h"
 
 /* Follow the speed of the train as the rotors with the motor of rotor `first` show it, and write
  * slip and `sliding_s` of each. Once a tick, with speeds that are free of the wheel diameters. */
