@@ -265,20 +265,28 @@ def _lost(rng: random.Random) -> Mutant:
 
 
 def _thresholds(rng: random.Random) -> Mutant:
-    """A gateway that waits longer than its settings say; the least time is one tick."""
+    """A gateway that waits longer than its settings say (at least a tick), or must be surer."""
     times = rng.choice((2, 5, 10))
     section, keys, text = rng.choice((
-        ("adhesion", ("raise_ms", "raise_severe_ms"), "loss of adhesion is raised after"),
-        ("adhesion", ("clear_ms", "good_ms"), "adhesion is good again after"),
-        ("thermal", ("raise_s", "clear_s"), "thermal fault is raised and cleared after"),
+        ("adhesion", ("raise_ms", "raise_severe_ms"), "a loss is raised after {} the time"),
+        ("adhesion", ("clear_ms", "good_ms"), "adhesion is good again after {} the time"),
+        ("thermal", ("raise_s", "clear_s"), "thermal fault comes and goes after {} the time"),
+        ("adhesion", ("raise_probability",), "a loss is raised with {} less doubt"),
     ))  # fmt: skip
 
     def settings(config: Config) -> Config:
-        part, least = getattr(config, section), config.loop.period_ns // MS * keys[0].endswith("ms")
-        longer = {key: times * max(getattr(part, key), least) for key in keys}
-        return config.model_copy(update={section: part.model_copy(update=longer)})
+        part, tick_ms = getattr(config, section), config.loop.period_ns // MS
 
-    return Mutant(f"{text} {times} times the time", settings=settings)
+        def more(key: str) -> float:
+            value: float = getattr(part, key)
+            if key.endswith("probability"):
+                return 1.0 - (1.0 - value) / times
+            return times * max(value, tick_ms if key.endswith("_ms") else 0)
+
+        update = {key: more(key) for key in keys}
+        return config.model_copy(update={section: part.model_copy(update=update)})
+
+    return Mutant(text.format(f"{times} times"), settings=settings)
 
 
 KINDS: Final[tuple[Callable[[random.Random], Mutant], ...]] = (
