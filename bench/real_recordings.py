@@ -152,7 +152,7 @@ def judge(
         if learner is not None:
             log.note(side, now)
             if log.full:
-                learner.add(log.drain(), side.sensors.configured, side.dt_s)
+                learner.learn(log.drain(), side.sensors.configured, side.dt_s)
         reports = [side.report(k, now, STALE_NS) for k in range(drives)]
         for k, report in enumerate(reports):
             debounce(thermal[k], report.thermal, heat, TICK_NS, now)
@@ -165,7 +165,7 @@ def judge(
                 side.window.deviation[:, 0].copy(), side.spread[0],
             ))  # fmt: skip
     if learner is not None:
-        learner.add(log.drain(), side.sensors.configured, side.dt_s)
+        learner.learn(log.drain(), side.sensors.configured, side.dt_s)
     return Said(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

@@ -60,7 +60,7 @@ class Run:
     def __init__(
         self, title: str, config: Config, codec: Codec, again: Callable[[Reporting], Facts]
     ) -> None:
-        """Start empty; `add` takes ticks. again: repeats the run, for a report."""
+        """Start empty; `add_tick` takes ticks. again: repeats the run, for a report."""
         self.title = title
         self._codec = codec
         self._again = again
@@ -74,7 +74,7 @@ class Run:
         self._first_ns: int | None = None
         self._last_ns = 0
 
-    def add(self, gateway: Gateway, sent: Iterable[Frame]) -> None:
+    def add_tick(self, gateway: Gateway, sent: Iterable[Frame]) -> None:
         """Add the gateway's last tick, and the frames that it sent in this tick."""
         self._last_ns = gateway.now_ns
         if self._first_ns is None:
@@ -196,12 +196,12 @@ def replay(
 
         def keep(_now: int, _sent: Sequence[Frame], gateway: Gateway) -> None:
             kept.begin(gateway)
-            kept.add()
+            kept.add_tick()
 
         return replay_facts(Path(log), play(keep), kept.trace)
 
     run = Run(Path(log).name, used, codec, again)
-    play(lambda _now, sent, gateway: run.add(gateway, sent))
+    play(lambda _now, sent, gateway: run.add_tick(gateway, sent))
     return run
 
 
@@ -230,7 +230,10 @@ class Scenario:
 
         run = Judged(scenario.title, used, codec, again)
         outcome = run_virtual(
-            scenario, used, codec, [lambda _now, _received, sent, gateway: run.add(gateway, sent)]
+            scenario,
+            used,
+            codec,
+            [lambda _now, _received, sent, gateway: run.add_tick(gateway, sent)],
         )
         run.verdicts = tuple(outcome.verdicts)
         return run

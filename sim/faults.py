@@ -52,9 +52,9 @@ class Schedule:
         self._rated_nm = motor.T_rated
         self._by_kind: dict[str, list[tuple[Event, list[int]]]] = {}
         for event in scenario.event:
-            self.add(event)
+            self.insert(event)
 
-    def add(self, event: Event) -> None:
+    def insert(self, event: Event) -> None:
         """Add an event, in order of time. Raises ValueError for a drive that does not exist."""
         who = [d - 1 for d in self._scenario.drives_of(event.drive)]
         if not all(0 <= d < self._n for d in who):

@@ -115,7 +115,7 @@ class Simulation:
             raise ValueError("traffic = 'slow' does not support phase_open")
         if event.kind == "friction_brake" and (self._plant is None or not self._plant.on_rail):
             raise ValueError(NEEDS_RAIL)
-        self._schedule.add(event)
+        self._schedule.insert(event)
         for wire in self._wires:
             wire.look_again()
 

@@ -85,7 +85,7 @@ class Asc(Format):
         if not timed.any():
             return times
         if self._differences is not None:
-            times = self._differences.add(times, timed)
+            times = self._differences.continued(times, timed)
         else:
             first = times[timed].item(0)
             if self._begins and first + self._offset_ns < self._latest_ns:

@@ -107,7 +107,7 @@ class BusMaster(Pattern):
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times of day as they are; differences are summed."""
         if self._differences is not None:
-            return self._differences.add(times, timed)
+            return self._differences.continued(times, timed)
         return super().clock(times, timed)
 
 

@@ -119,7 +119,7 @@ class Pattern(Format):
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times as they are; times of day continue past midnight."""
-        return self._day_times.add(times, timed) if self._time.name == "clock" else times
+        return self._day_times.continued(times, timed) if self._time.name == "clock" else times
 
     def data(self, text: str, length: int) -> bytes:
         """Bytes with separators between them. Raises ValueError, also if a byte is missing."""

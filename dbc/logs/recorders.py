@@ -85,7 +85,7 @@ class Carbus(Format):
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times that continue behind the end of a minute."""
-        return self._times.add(times, timed)
+        return self._times.continued(times, timed)
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
         """Nanoseconds of seconds with a comma."""

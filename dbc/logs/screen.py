@@ -71,7 +71,7 @@ class Screen(Format):
         if not self._from_start:
             return times
         self._note(DIFFERENCES if self._differences else SINCE_START)
-        return self._differences.add(times, timed) if self._differences else times
+        return self._differences.continued(times, timed) if self._differences else times
 
     def _note(self, text: str) -> None:
         if text not in self.notes:

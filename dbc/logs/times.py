@@ -61,7 +61,7 @@ class DayTimes:
         self._days = 0
         self._last_ns = 0
 
-    def add(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def continued(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times of consecutive lines; lines that are not `timed` have no time."""
         stamps = times[timed]
         if not stamps.size:
@@ -81,7 +81,7 @@ class Differences:
         """last_ns: the time of the line before the first one."""
         self._last_ns = last_ns
 
-    def add(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def continued(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Times of consecutive lines; lines that are not `timed` have no time."""
         if not timed.any():
             return times

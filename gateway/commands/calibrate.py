@@ -120,17 +120,19 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
     from gateway.io.replay import Briefly, replay
     from gateway.study.temperature_reader import TemperatureReader
 
-    def add(gateway: Gateway) -> None:
+    def pass_on(gateway: Gateway) -> None:
         assert isinstance(gateway, TemperatureReader)
         thermal = gateway.thermal
-        learner.add(gateway.log.drain(), thermal.sensors.configured, thermal.dt_s)
+        learner.learn(gateway.log.drain(), thermal.sensors.configured, thermal.dt_s)
 
     def new_gateway(start: int) -> TemperatureReader:
         return TemperatureReader(config, codec, start)
 
     learner.begin()
-    done = replay(blocks, new_gateway, config.loop.period_ns, Briefly(lambda _frames: None, add))
-    add(done.gateway)
+    done = replay(
+        blocks, new_gateway, config.loop.period_ns, Briefly(lambda _frames: None, pass_on)
+    )
+    pass_on(done.gateway)
     return done
 
 

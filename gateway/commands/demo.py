@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     drives = tuple(Drive(node=n) for n in range(1, scenario.drives + 1))
     config = config.model_copy(update={"drive": drives})
     intervals, trace = Intervals(config.nodes), Trace(config.nodes)
-    ticks = TickLog((intervals.add, trace.add))
+    ticks = TickLog((intervals.add_ticks, trace.add_ticks))
     seconds = scenario.duration_s if options.duration is None else options.duration
     say = console()
     say.print(f"{scenario.title}: {scenario.drives} drives, {seconds:g} s", markup=False)
@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
     with live or nullcontext():
         done = run_demo(scenario, config, codec, CHANNEL, seconds, watch, options.began_s)
     known = Truth()
-    known.add(done.truth)
+    known.add_rows(done.truth)
     known.close()
     ticks.flush()
     intervals.close()

@@ -210,7 +210,7 @@ def _messages(
 
     path = stack.enter_context(whole(left.folder / "replay.mcap"))
     file = stack.enter_context(McapFile(path, Decoder(codec), comments_of(codec)))
-    left.uses.append(Topics(config.nodes, file).add)
+    left.uses.append(Topics(config.nodes, file).add_ticks)
     write_text(left.folder / "foxglove.json", layout(config.nodes))
     return file.add_frames
 

@@ -64,7 +64,7 @@ def reproduce(
                 step(f"train {seed}, {base} base: done before")
         for seed, rows in zip(left, evaluate(left, base, (KIND,), names, jobs), strict=True):
             step(f"train {seed}, {base} base")
-            done.add(base, seed, ((row.method, row.score) for row in rows))
+            done.add_rows(base, seed, ((row.method, row.score) for row in rows))
         scores[base] = done.scores(base, seeds, names)
         missing = [name for name, own in scores[base].items() if not own]
         outcome = outcome._replace(missing=missing)
@@ -177,7 +177,7 @@ class Done:
         """Seeds of the trains that must still be run."""
         return [seed for seed in seeds if (base, seed) not in self._rows]
 
-    def add(self, base: str, seed: int, rows: Iterable[_Row]) -> None:
+    def add_rows(self, base: str, seed: int, rows: Iterable[_Row]) -> None:
         """Add a train's rows. Raises OSError."""
         key = base, seed
         self._rows[key] = list(rows)

@@ -30,7 +30,7 @@ class BusLoad(Addressed):
         """See `Addressed`."""
         self.pointer = ffi.from_buffer("struct bus_load *", self.record)
 
-    def add(self, frames: Iterable[Frame]) -> None:
+    def count(self, frames: Iterable[Frame]) -> None:
         """Count frames that are sent in this tick."""
         for frame in frames:
             lib.bus_load_send(self.pointer, frame[3] & FD, len(frame[2]))

@@ -173,7 +173,7 @@ class Gateway(Addressed):
         self._tick(frames if isinstance(frames, Block) else block_of(frames), now)
         out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
         if self.outbox.authenticator is not None:
-            self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
+            self.load.count(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
         return out
 
     def _tick(self, block: Block, now: Nanos) -> None:

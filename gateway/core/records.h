@@ -993,11 +993,10 @@ struct heartbeat {
 
 /* Heartbeats of all nodes. */
 struct supervision {
-    struct heartbeat *nodes;      /* (node_count) heartbeats of the drives' nodes */
+    struct heartbeat *nodes;      /* (drives) heartbeats of the drives' nodes */
     int64_t malformed;            /* number of heartbeat frames of a wrong format */
     int64_t timeout_ns;           /* shortest consumer time-out */
     int64_t period_ns;            /* configured heartbeat period; 0: the received one */
-    int32_t node_count;           /* number of `nodes` */
     int32_t row[HEARTBEAT_NODES]; /* index in `nodes` by node number; -1: not a drive's node */
 };
 

@@ -65,7 +65,7 @@ class EmcyLog:
         self.recent: deque[Emergency] = deque(maxlen=EMCY_KEPT)
         self.received = 0
 
-    def add(self, emergency: Emergency) -> None:
+    def note(self, emergency: Emergency) -> None:
         """Note a message."""
         self.received += 1
         self.recent.append(emergency)
@@ -87,7 +87,7 @@ class Supervision(Addressed):
         self.heartbeats["state"] = -1
         self.record = np.zeros(1, SUPERVISION)
         self.record["timeout_ns"], self.record["period_ns"] = timeout_ns, period_ns
-        self.record["node_count"], self.record["row"] = len(self.nodes), -1
+        self.record["row"] = -1
         self.record["row"][0, list(self.nodes)] = range(len(self.nodes))
         self.link()
         self._row = {n: k for k, n in enumerate(self.nodes)}
@@ -133,7 +133,7 @@ class Supervision(Addressed):
             self._malformed += 1
         else:
             code = data[0] | data[1] << 8
-            self.emcy[node].add(Emergency(frame.t_ns, code, data[2], data[3:]))
+            self.emcy[node].note(Emergency(frame.t_ns, code, data[2], data[3:]))
         return True
 
     def _is_lost(self, row: int, now_ns: Nanos) -> bool:

@@ -131,10 +131,10 @@ def run_virtual(
         rows = simulation.truth_rows()
         if left is not None:
             left.add_truth(rows)
-        track.add(tick.gateway)
+        track.store(tick.gateway)
         for look in watch:
             look(*tick, gateway)
         if left is not None:
-            left.add()
+            left.add_tick()
     verdicts = judge(scenario.expect, track, touched_drives(scenario), 0)
     return Outcome(scenario, verdicts, gateway)

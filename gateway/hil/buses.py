@@ -113,19 +113,19 @@ class _Run:
         self._duration_ns = round(scenario.duration_s * SECOND)
         self._shown_s = 0
 
-    def add(self, seen: LiveSnapshot) -> None:
+    def observe(self, seen: LiveSnapshot) -> None:
         """Take one tick. Flags count from the first tick on, the rest from the first frame."""
         if self.start_ns is None and seen.status.received:
             self.start_ns = seen.now_ns
         if self.start_ns is None:
-            self._track.add(seen.sent)
+            self._track.store(seen.sent)
             return
         elapsed_ns = seen.now_ns - self.start_ns
         if elapsed_ns <= self._duration_ns:
-            self._track.add(seen.sent)
+            self._track.store(seen.sent)
             self.overload.look(self._gateway, seen)
             if self._left is not None and self._gateway.view is not None:
-                self._left.add()
+                self._left.add_tick()
         if elapsed_ns >= self._shown_s * SECOND:
             self._progress(self._shown_s)
             self._shown_s += 1
@@ -169,7 +169,7 @@ def run_on_real_bus(
     child = subprocess.Popen([sys.executable, "-m", "gateway", "sim", "--wait-for-start", *drives])
 
     def watch(seen: LiveSnapshot) -> None:
-        run.add(seen)
+        run.observe(seen)
         if child.poll() is not None:
             stop()
 

@@ -66,7 +66,7 @@ def judged(mutant: Mutant, suite: Sequence[Recorded]) -> Result:
             continue
         alters = True
         track = FlagTrack(run.codec, run.nodes)
-        track.add(encoded(run.codec, sent))
+        track.store(encoded(run.codec, sent))
         verdicts = judge(run.scenario.expect, track, touched_drives(run.scenario), 0)
         if not all(verdict.passed for verdict in verdicts):
             return Result(mutant, run.name, True)

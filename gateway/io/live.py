@@ -172,7 +172,7 @@ def _loop(
         events = node.step(meant(block), now)
         results += [transport.send(frame) for frame in events]
         out += events
-        timing.add(gateway.decided_ns, tick.now_ns, now, stepped, clock())
+        timing.record(gateway.decided_ns, tick.now_ns, now, stepped, clock())
         seen.now_ns = now
         seen.tick = tick.number
         seen.missed = ticker.missed

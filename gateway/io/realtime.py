@@ -28,7 +28,7 @@ class Histogram:
         self.total = 0
         self.largest = 0
 
-    def add(self, value: int) -> None:
+    def count(self, value: int) -> None:
         """Count one value; negative counts as zero."""
         value = max(value, 0)
         self.counts[min(_bucket(value), len(self.counts) - 1)] += 1
@@ -119,7 +119,7 @@ class Ticker:
             self._sleep((deadline - now) / SECOND)
             now = self.clock()
         late = now - deadline
-        self.lateness.add(late)
+        self.lateness.count(late)
         missed = late // self.period_ns
         self._number += missed
         self.missed += missed

@@ -54,7 +54,7 @@ class Timing:
             for name, h in {"lateness": self.lateness, **self.stages}.items()
         ]  # fmt: skip
 
-    def add(
+    def record(
         self, decided: Nanos | None, woken: Nanos, read: Nanos, stepped: Nanos, sent: Nanos
     ) -> None:
         """Count one tick. decided: stamp of the deciding frame.
@@ -68,4 +68,4 @@ class Timing:
         begun = max(woken, decided)
         spans = (begun - decided, read - begun, stepped - read, sent - stepped, sent - decided)
         for histogram, span in zip(self.stages.values(), spans, strict=True):
-            histogram.add(span)
+            histogram.count(span)

@@ -73,7 +73,7 @@ class FlagTrack:
         self.seen: dict[tuple[str, int], list[tuple[int, Flag]]] = {}
         self._receivers: dict[int, Receiver] = {}
 
-    def add(self, frames: Iterable[Frame]) -> None:
+    def store(self, frames: Iterable[Frame]) -> None:
         """Store the flags in the gateway's frames; other frames are ignored."""
         for frame in frames:
             spec = self.codec.by_id.get(frame.can_id)

@@ -75,7 +75,7 @@ class Intervals:
         """Flags of the drives and of the train one tick ago; mostly they have not changed."""
         self._last_ns = 0
 
-    def add(self, ticks: Ticks) -> None:
+    def add_ticks(self, ticks: Ticks) -> None:
         """Process ticks."""
         self._last_ns = ticks.t_ns.item(-1)
         drives, train = ticks.drives, ticks.train

@@ -114,7 +114,7 @@ class Table:
         self._text = ffi.new("uint8_t[]", _LINES * line_bytes)
         stream.write(",".join(header).encode() + b"\n")
 
-    def add(self, t_ns: NDArray[np.int64], columns: Sequence[Coded | Column]) -> None:
+    def write_rows(self, t_ns: NDArray[np.int64], columns: Sequence[Coded | Column]) -> None:
         """Write the rows of ticks; number columns use `_DECIMALS` in turn. Raises OSError."""
         decimals = iter(_DECIMALS)
         arrays = [np.ascontiguousarray(one.code if isinstance(one, Coded) else one)
@@ -169,7 +169,7 @@ class Changes:
         self._last: dict[int, tuple[Flag, Flag]] = {}
         self._before: NDArray[np.int64] | None = None
 
-    def add(self, view: GatewayView) -> None:
+    def add_view(self, view: GatewayView) -> None:
         """Process one tick."""
         for d in view.drives:
             self.note(view.t_ns, d.node, d.adhesion, d.thermal)
@@ -177,7 +177,7 @@ class Changes:
     def follow(self, gateway: Gateway) -> None:
         """Process the tick that a gateway has just done."""
         assert gateway.view is not None
-        self.add(gateway.view)
+        self.add_view(gateway.view)
 
     def note(self, t_ns: int, node: int, adhesion: Flag, thermal: Flag) -> None:
         """Process the flags of one drive in a tick."""
@@ -215,11 +215,11 @@ class Recorder(AbstractContextManager["Recorder"]):
         self._flags = Table(flags, FLAGS_HEADER, nodes)
         self._estimates = Table(estimates, ESTIMATES_HEADER, nodes)
 
-    def add(self, ticks: Ticks) -> None:
+    def add_ticks(self, ticks: Ticks) -> None:
         """Write ticks to both tables."""
         t_ns = np.ascontiguousarray(ticks.t_ns)
-        self._flags.add(t_ns, flag_columns(ticks))
-        self._estimates.add(t_ns, estimate_columns(ticks))
+        self._flags.write_rows(t_ns, flag_columns(ticks))
+        self._estimates.write_rows(t_ns, estimate_columns(ticks))
 
     def close(self) -> None:
         """Finish the tables. Raises OSError."""

@@ -42,7 +42,7 @@ MAX_NS: Final[Nanos] = 2**63 - 1
 
 
 class Reporting(AbstractContextManager["Reporting"]):
-    """Collects the data of one run: a context manager. Call `add` for each tick, then `run`."""
+    """Collects the data of one run: a context manager. For each tick `add_tick`, then `run`."""
 
     def __init__(self, folder: Path, config: Config, codec: Codec, together: int = MOST) -> None:
         """folder: for tables and pictures; created here, so that a failure is reported early.
@@ -59,7 +59,11 @@ class Reporting(AbstractContextManager["Reporting"]):
         self.recorder = Recorder(folder, config.nodes)
         self.trace = Trace(config.nodes)
         self.intervals = Intervals(config.nodes)
-        self.uses: list[Use] = [self.recorder.add, self.trace.add, self.intervals.add]
+        self.uses: list[Use] = [
+            self.recorder.add_ticks,
+            self.trace.add_ticks,
+            self.intervals.add_ticks,
+        ]
         """Functions to which the ticks are passed."""
         self._ticks = TickLog(self.uses, together)
         self._config = config
@@ -70,7 +74,7 @@ class Reporting(AbstractContextManager["Reporting"]):
         """Set the gateway whose ticks follow."""
         self._gateway = gateway
 
-    def add(self) -> None:
+    def add_tick(self) -> None:
         """Add the last tick of the gateway."""
         assert self._gateway is not None
         self._ticks.append(self._gateway)
@@ -88,7 +92,7 @@ class Reporting(AbstractContextManager["Reporting"]):
         """Add rows of truth, whose time 0 is the first tick."""
         if self.truth is None:
             self.truth = Truth()
-        self.truth.add(rows)
+        self.truth.add_rows(rows)
 
     def set_timing(self, seen: LiveSnapshot, period_ns: int) -> None:
         """Keep the histograms of a run in real time. Raises OSError."""

@@ -59,7 +59,7 @@ class Topics:
         self._nodes, self._file = nodes, file
         self._changes = record.Changes()
 
-    def add(self, ticks: Ticks) -> None:
+    def add_ticks(self, ticks: Ticks) -> None:
         """Write ticks. Raises OSError."""
         names = [f"drive{node}" for node in self._nodes]
         drives = [f"/flags/{name}" for name in names]

@@ -64,7 +64,7 @@ class Envelope:
         self._open = 0
         """Chunks in the last bin, if a bin takes several and this one is not full yet; else 0."""
 
-    def add(self, rows: Array) -> None:
+    def add_rows(self, rows: Array) -> None:
         """Add rows (K, 1 + C): seconds, then the columns; NaN if a value is not known."""
         while len(rows):
             part, rows = np.split(rows, [CHUNK - self._rows])
@@ -125,7 +125,7 @@ class Trace:
         self._envelope = Envelope(len(OF_ALL) + len(COLUMNS) * len(nodes))
         self._loads = (float("inf"), float("-inf"), 0.0, 0)
 
-    def add(self, ticks: Ticks) -> None:
+    def add_ticks(self, ticks: Ticks) -> None:
         """Add ticks."""
         count, drives = len(ticks.t_ns), ticks.drives
         if self.first_ns is None:
@@ -147,7 +147,7 @@ class Trace:
             drives["mixed_c"], drives["maisd_k"], *np.moveaxis(ticks.celsius, 2, 0),
         ], axis=2)  # fmt: skip
         seconds = (ticks.t_ns - self.first_ns) / 1e9
-        self._envelope.add(
+        self._envelope.add_rows(
             np.column_stack([seconds, ticks.bus_load_percent, columns.reshape(count, -1)])
         )
 

@@ -90,7 +90,7 @@ class _Drive:
     def put(self) -> None:
         """Move all rows into the envelope."""
         if self.rows:
-            self.envelope.add(np.array(self.rows))
+            self.envelope.add_rows(np.array(self.rows))
             self.rows.clear()
 
 
@@ -103,7 +103,7 @@ class Truth:
         self.offset_s = offset_s
         self._drives: dict[int, _Drive] = {}
 
-    def add(self, rows: Iterable[Row]) -> None:
+    def add_rows(self, rows: Iterable[Row]) -> None:
         """Add rows, ascending in time for each drive."""
         for row in rows:
             drive = self._drives.get(row.drive)
@@ -193,7 +193,7 @@ def read(path: Path, first_s: float, last_s: float) -> tuple[Truth, bool]:
     begin, end = _range(path)
     same = begin <= last_s and first_s <= end
     truth = Truth(-first_s if same else 0.0)
-    truth.add(rows(path))
+    truth.add_rows(rows(path))
     truth.close()
     return truth, same
 

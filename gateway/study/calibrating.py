@@ -102,7 +102,7 @@ class Learner:
         self.means.append([])
         self.seconds.append([])
 
-    def add(self, cycles: Cycles, fitted: Flags, dt_s: float) -> None:
+    def learn(self, cycles: Cycles, fitted: Flags, dt_s: float) -> None:
         """Add the next temperature cycles of the log.
 
         fitted: (M, P) which sensors exist; dt_s: time from one `Sample` to the next.

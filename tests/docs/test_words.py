@@ -22,7 +22,7 @@ PROTOCOLS = {
     "run": "verbs of the command line, loops of ticks",
     "arguments": "verbs of the command line",
     "close": "whatever is open",
-    "add": "whatever collects",
+    "add": "whatever takes a log block by block: (self, block)",
     "link": "records that point to one another",
     "step": "whatever goes on by a tick",
     "fit": "methods that learn",
@@ -77,6 +77,18 @@ def test_no_function_name_stands_for_many_things():
     )
     often = {name for name, count in names.items() if count > MOST}
     assert often == set(PROTOCOLS)
+
+
+def test_add_is_one_protocol():
+    other = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in sources(".py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        and node.name == "add"
+        and [argument.arg for argument in node.args.args] != ["self", "block"]
+    ]
+    assert not other, f"give it a verb of its own: {other}"
 
 
 def private(path):

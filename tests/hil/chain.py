@@ -185,7 +185,7 @@ Changes = dict[tuple[str, int], list[Change]]
 def changes(log, codec, nodes, until_ns=None):
     """Changes of every flag in a log, its first value included; node 0: of the set."""
     track = FlagTrack(codec, nodes)
-    track.add(f for f in Reader(log) if until_ns is None or f.t_ns < until_ns)
+    track.store(f for f in Reader(log) if until_ns is None or f.t_ns < until_ns)
     found = {}
     for key, seen in track.seen.items():
         kept = found.setdefault(key, [])

@@ -259,7 +259,7 @@ def test_late_interface_and_a_link_that_goes_and_comes(vcan, folder):
     # counters, or enough for the filters to start again.
     assert Reason(int(reason)) in (Reason.STALE, Reason.SEQUENCE, Reason.STARTING)
     track = FlagTrack(codec, nodes)
-    track.add(said)
+    track.store(said)
     for node in nodes:
         flag = track.seen["adhesion", node]
         assert ADHERING in {state for t_ns, state in flag if t_ns < down_ns}

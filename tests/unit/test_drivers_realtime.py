@@ -86,7 +86,7 @@ def test_histogram_quantile_is_a_bound_within_a_quarter():
     histogram = Histogram()
     values = [k * k * 37 for k in range(1, 1001)]
     for value in values:
-        histogram.add(value)
+        histogram.count(value)
     for fraction in (0.01, 0.5, 0.9, 0.99, 1.0):
         exact = values[max(round(fraction * 1000) - 1, 0)]
         assert exact <= histogram.quantile(fraction) <= exact * 1.25
@@ -96,11 +96,11 @@ def test_histogram_small_values_are_exact_and_odd_values_are_safe():
     histogram = Histogram()
     assert histogram.quantile(0.99) == 0
     for value in range(8):
-        histogram.add(value)
+        histogram.count(value)
     assert [histogram.quantile((k + 1) / 8) for k in range(8)] == list(range(8))
-    histogram.add(-5)
+    histogram.count(-5)
     assert histogram.counts[0] == 2
-    histogram.add(1 << 70)
+    histogram.count(1 << 70)
     assert histogram.quantile(1.0) <= 1 << 70
 
 
@@ -108,8 +108,8 @@ def test_histogram_never_grows():
     histogram = Histogram()
     size = len(histogram.counts)
     for bit in range(64):
-        histogram.add(1 << bit)
-        histogram.add((1 << bit) - 1)
+        histogram.count(1 << bit)
+        histogram.count((1 << bit) - 1)
     assert len(histogram.counts) == size
     assert sum(histogram.counts) == histogram.total == 128
 
@@ -120,7 +120,7 @@ def largest(timing):
 
 def test_the_stages_of_a_tick_add_up():
     timing = Timing(Histogram())
-    timing.add(1 * MS, woken=4 * MS, read=5 * MS, stepped=9 * MS, sent=11 * MS)
+    timing.record(1 * MS, woken=4 * MS, read=5 * MS, stepped=9 * MS, sent=11 * MS)
     assert largest(timing) == dict(
         zip(STAGES, (3 * MS, 1 * MS, 4 * MS, 2 * MS, 10 * MS), strict=True)
     )
@@ -129,18 +129,18 @@ def test_the_stages_of_a_tick_add_up():
 
 def test_a_frame_may_come_while_the_tick_begins():
     timing = Timing(Histogram())
-    timing.add(5 * MS, woken=4 * MS, read=6 * MS, stepped=7 * MS, sent=8 * MS)
+    timing.record(5 * MS, woken=4 * MS, read=6 * MS, stepped=7 * MS, sent=8 * MS)
     assert largest(timing) == dict(zip(STAGES, (0, 1 * MS, 1 * MS, 1 * MS, 3 * MS), strict=True))
 
 
 def test_a_tick_that_decides_nothing_new_is_not_counted():
     timing = Timing(Histogram())
-    timing.add(None, 1, 2, 3, 4)
+    timing.record(None, 1, 2, 3, 4)
     assert timing.latency.total == 0
-    timing.add(1, 2, 3, 4, 5)
-    timing.add(1, 12, 13, 14, 15)
+    timing.record(1, 2, 3, 4, 5)
+    timing.record(1, 12, 13, 14, 15)
     assert timing.latency.total == 1
-    timing.add(11, 12, 13, 14, 15)
+    timing.record(11, 12, 13, 14, 15)
     assert timing.latency.total == 2
 
 
@@ -148,7 +148,7 @@ def test_octaves_hold_every_value_once():
     histogram = Histogram()
     values = np.random.default_rng(3).integers(0, 5000, 400).tolist()
     for value in values:
-        histogram.add(value)
+        histogram.count(value)
     octaves = histogram.octaves()
     assert [a for a, _, _ in octaves[1:]] == [b for _, b, _ in octaves[:-1]]
     for begin, below, count in octaves:
@@ -161,9 +161,9 @@ def test_octaves_hold_every_value_once():
 def test_the_report_says_what_the_histograms_hold(tmp_path, decided):
     timing = Timing(Histogram())
     for k, stamp in enumerate(decided):
-        timing.lateness.add(100_000)
+        timing.lateness.count(100_000)
         begin = stamp + (k + 1) * MS
-        timing.add(stamp, begin, begin + 10_000, begin + 400_000, begin + 500_000)
+        timing.record(stamp, begin, begin + 10_000, begin + 400_000, begin + 500_000)
     leave(tmp_path, Timed(timing.stage_rows(), 10 * MS, 2, 0), "Timing of a test")
     with (tmp_path / "timing.csv").open() as file:
         rows = list(csv.DictReader(file))

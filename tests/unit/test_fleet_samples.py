@@ -71,8 +71,8 @@ def same(log, folder, config=None):
     plain, recorder = Plain(), Changes()
 
     def sink(_now, _out, gateway):
-        plain.add(gateway.view)
-        recorder.add(gateway.view)
+        plain.add_view(gateway.view)
+        recorder.add_view(gateway.view)
 
     used = settings.config
     codec = bind(used.dbc_path, used.nodes)

@@ -353,7 +353,7 @@ def test_lateness_is_the_delay_that_was_put_in_and_drift_is_none():
     delays = [0, 100_000, 0, 900_000, 0, 5_000_000] * 50
     for k, delay in enumerate(delays):
         # The sender's clock is 50 ppm slower than ours.
-        schedule.add(round(k * 10 * MS * (1 + 50e-6)) + delay, k % 16)
+        schedule.observe(round(k * 10 * MS * (1 + 50e-6)) + delay, k % 16)
     late = schedule.lateness()
     assert late.total == len(delays) - 1
     assert sum(late.counts) == late.total
@@ -372,7 +372,7 @@ def test_lateness_is_the_delay_that_was_put_in_and_drift_is_none():
 def test_lateness_starts_anew_after_a_gap():
     schedule = Schedule(10 * MS)
     for k in range(100):
-        schedule.add(k * 10 * MS, k % 16)
+        schedule.observe(k * 10 * MS, k % 16)
     for k in range(100):  # a gateway that was started again, on a grid of its own
-        schedule.add(5_003 * MS + k * 10 * MS, k % 16)
+        schedule.observe(5_003 * MS + k * 10 * MS, k % 16)
     assert schedule.lateness().largest_us == 0

@@ -281,7 +281,7 @@ def test_sent_frames_cost_what_they_would_cost_received(file):
     box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
     frames = box.due(words, 0)
     one, two, three = (BusLoad(500_000, 2_000_000, 0) for _ in range(3))
-    one.add(frames)
+    one.count(frames)
     two.add_block(block_of(frames), None, 0)
     sent = pointer("struct tx_frame", box.frames)
     lib.bus_load_transmit(three.pointer, box.pointer, len(frames), sent)
@@ -297,16 +297,16 @@ def test_a_window_closes_with_the_first_tick_after_a_second():
     frame = Frame(0, 0x123, bytes(8))
     bits = 47 + 64 + (33 + 64) // 4
     for _ in range(1000):
-        load.add([frame])
+        load.count([frame])
     load.add_block(none, None, 6 * SECOND - 1)
     assert load.percent(6 * SECOND - 1) is None
     load.add_block(none, None, 6 * SECOND)
     assert load.percent(6 * SECOND) == pytest.approx(100.0 * 1000 * bits / 500_000)
-    load.add([frame] * 100)
+    load.count([frame] * 100)
     load.add_block(none, None, 8 * SECOND)
     assert load.percent(8 * SECOND) == pytest.approx(50.0 * 100 * bits / 500_000)
     assert load.percent(10 * SECOND) is not None
     assert load.percent(10 * SECOND + 1) is None, "long past"
-    load.add([frame] * 100_000)
+    load.count([frame] * 100_000)
     load.add_block(none, None, 11 * SECOND)
     assert load.percent(11 * SECOND) == 126.0, "the most that the signal can tell"

@@ -45,7 +45,7 @@ def test_an_envelope_keeps_every_smallest_and_largest_value(ticks):
     rows = np.column_stack([np.arange(float(ticks)), values])
     # A few at a time, and many.
     for part in np.split(rows, sorted(random.integers(0, ticks + 1, 20))):
-        envelope.add(part)
+        envelope.add_rows(part)
     width = envelope.width if envelope.curve(0) else 0
     for column in (0, 1):
         curve = envelope.curve(column)
@@ -66,7 +66,7 @@ def test_an_envelope_of_days_is_no_larger_than_one_of_minutes():
     ticks, spike = 5 * MOST * CHUNK // 2 + 3, 1_000_003
     for begin in range(0, ticks, 1000):
         t_s = np.arange(begin, min(begin + 1000, ticks), dtype=float)
-        envelope.add(np.column_stack([t_s, 9.0 * (t_s == spike)]))
+        envelope.add_rows(np.column_stack([t_s, 9.0 * (t_s == spike)]))
     curve = envelope.curve(0)
     assert envelope.width > CHUNK
     assert len(curve.t_s) <= MOST
@@ -80,7 +80,7 @@ def test_a_trace_may_be_looked_at_while_it_grows():
     trace = Trace((4, 2))
     for k in range(5):
         both = DriveView(4, load_nm=1.0 * k), DriveView(2, mixed_c=30.0)
-        trace.add(ticks(view(k * 10**7, *both)))
+        trace.add_ticks(ticks(view(k * 10**7, *both)))
         assert trace.curve(4, "load_nm").high.tolist() == [float(n) for n in range(k + 1)]
     assert not trace.curve(2, "load_nm").known
     assert trace.curve(2, "mixed_c").known
@@ -99,9 +99,9 @@ def test_intervals_cover_the_run_without_gap_or_overlap(said):
         for k, flag in enumerate(said)
     ]
     # Several ticks at once and one by one are the same.
-    intervals.add(ticks(*views[: len(views) // 2 + 1]))
+    intervals.add_ticks(ticks(*views[: len(views) // 2 + 1]))
     for one in views[len(views) // 2 + 1 :]:
-        intervals.add(ticks(one))
+        intervals.add_ticks(ticks(one))
     intervals.close()
     mine = [i for i in intervals.kept if i.flag == "adhesion"]
     assert mine[0].start_ns == 0
@@ -118,7 +118,7 @@ def test_intervals_cover_the_run_without_gap_or_overlap(said):
 def test_a_flag_that_never_rests_is_counted_but_not_kept_for_ever():
     intervals = Intervals((1,))
     count = 2 * KEPT + 20
-    intervals.add(ticks(*(
+    intervals.add_ticks(ticks(*(
         view(k, DriveView(1, adhesion=Flag.BAD if k % 2 else Flag.UNKNOWN)) for k in range(count)
     )))  # fmt: skip
     intervals.close()

@@ -136,7 +136,7 @@ def test_a_cut_drive_is_released_and_comes_back_to_full_torque():
     recorder = Changes()
 
     def watch(now, _rx, _tx, gateway):
-        recorder.add(gateway.view)
+        recorder.add_view(gateway.view)
         commands.append((now / 1e9, gateway.view))
 
     outcome = run(builtin("release"), [watch])

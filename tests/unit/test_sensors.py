@@ -167,7 +167,7 @@ def test_motors_with_different_sensors_are_calibrated_and_judged_by_what_they_ha
     log = CycleLog(3)
     play(side, 60, 0.0, lambda now: log.note(side, now))
     learner.begin()
-    learner.add(log.drain(), side.sensors.configured, side.dt_s)
+    learner.learn(log.drain(), side.sensors.configured, side.dt_s)
     learnt = learner.finish(1.5)
     assert learnt.motor[0].offset_k[1:] == (0.0, 0.0)
     assert learnt.motor[1].offset_k[1] == pytest.approx(1.0, abs=0.1)

@@ -27,7 +27,7 @@ DECIMALS = (4, 4, 4, 4, 3, 2, 3, 4, 4, 1)
 
 def written(t_ns, columns, nodes=NODES):
     stream = io.BytesIO()
-    Table(stream, HEADER, nodes).add(np.array(t_ns), columns)
+    Table(stream, HEADER, nodes).write_rows(np.array(t_ns), columns)
     return stream.getvalue().decode().splitlines()[1:]
 
 

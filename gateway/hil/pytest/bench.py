@@ -109,7 +109,7 @@ class HilBench:
         tick: Tick = self._world.step()
         self.now_ns = tick.now_ns
         self.frames.extend(sorted([*tick.drives, *tick.gateway]))
-        self.flags.track.add(tick.gateway)
+        self.flags.track.store(tick.gateway)
         for row in self._world.simulation.truth_rows():
             self.lost[row.drive].append((round(row.t_s * SECOND), bool(row.lost)))
 

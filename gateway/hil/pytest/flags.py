@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Final, Protocol
 
-from dbc.frame import MS, Nanos
+from dbc.codec import Codec
+from dbc.frame import MS, Frame, Nanos
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
 from gateway.reports import known
 from gateway.reports.expectations import UNPROVEN, WORDS, FlagTrack, proves
 from gateway.reports.scoring import first
-
-if TYPE_CHECKING:
-    from gateway.hil.pytest.bench import HilBench
 
 SHOWN_NS: Final[Nanos] = 300 * MS
 """Time that a picture shows before the test began to wait."""
@@ -23,10 +22,27 @@ OF_THE_SET: Final = ("common_mode", "comm", "sensor")
 """Flags of the whole train."""
 
 
+class Bench(Protocol):
+    """What the flags need of a `HilBench`, see there."""
+
+    codec: Codec
+    nodes: tuple[int, ...]
+    frames: deque[Frame]
+    lost: dict[int, deque[tuple[Nanos, bool]]]
+    now_ns: Nanos
+
+    @property
+    def missed(self) -> int:
+        """Ticks that this process came too late for."""
+
+    def run_until(self, met: Callable[[], bool], within_s: float) -> bool:
+        """Let time pass until `met()`."""
+
+
 class GatewayFlags:
     """Flags on the bus. An `expect_..` lets time pass until it is met, or fails with a picture."""
 
-    def __init__(self, bench: HilBench) -> None:
+    def __init__(self, bench: Bench) -> None:
         """Made by the bench."""
         self._bench = bench
         self.track = FlagTrack(bench.codec, bench.nodes)

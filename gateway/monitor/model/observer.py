@@ -209,7 +209,7 @@ class Observer:
                 self._happenings.note(t_ns, GRAVE, spec.node or None, text)
             if cause is None and spec.name == "Gateway_Adhesion":
                 counter = counter_of(spec, data)
-                self._schedule.add(t_ns, 0 if counter is None else counter)
+                self._schedule.observe(t_ns, 0 if counter is None else counter)
         self._shadow.step(block, now)
         self._note(now)
 
@@ -274,7 +274,7 @@ class Observer:
         for name in [name for name in self._doubled if not self.tracks[name].doubled(now)]:
             self._doubled.remove(name)
         if self.first_ns is not None and (now - self.first_ns) % POINT_NS < self._period_ns:
-            self._recent.add((now - self.first_ns) / SECOND, self._rows(now)[1])
+            self._recent.append((now - self.first_ns) / SECOND, self._rows(now)[1])
 
     def _instead(self, gateway: GatewayRow) -> GatewayView | None:
         """The shadow's view if it is shown in place of a gateway, else None."""

@@ -31,7 +31,7 @@ class Schedule:
         self.histogram = Histogram()
         """Lateness in microseconds."""
 
-    def add(self, t_ns: Nanos, counter: int) -> None:
+    def observe(self, t_ns: Nanos, counter: int) -> None:
         """Add an accepted frame. counter: its E2E counter, modulo 16."""
         period = self._period_ns
         if period <= 0:
@@ -49,7 +49,7 @@ class Schedule:
             due = t_ns
         self._due_ns = due
         # The allowance for drift is no lateness, and is far smaller than a bucket.
-        self.histogram.add(max(late, 0) // 1000)
+        self.histogram.count(max(late, 0) // 1000)
 
     def lateness(self) -> Lateness:
         """The histogram so far."""

@@ -27,7 +27,7 @@ class Recent:
         other._rows = {node: rows.copy() for node, rows in self._rows.items()}
         return other
 
-    def add(self, t_s: float, drives: Iterable[DriveRow]) -> None:
+    def append(self, t_s: float, drives: Iterable[DriveRow]) -> None:
         """Add a point: a time and a row of every drive."""
         self._t_s.append(t_s)
         for row in drives:
