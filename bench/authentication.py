@@ -108,7 +108,7 @@ def ticks() -> tuple[str, ...]:
     """A whole tick with and without, the two in turns."""
     config = parse({})
     codec = bind(shipped_dbc("traction.dbc"), config.nodes)
-    drives = Simulation(find("healthy"), codec, nodes=config.nodes)
+    drives = Simulation(find("healthy"), codec)
     frames = [drives.step((), k * 10 * MS) for k in range(TICKS)]
     spent = {}
     for _, sender in zip(range(6), cycle((None, Authenticator(KEY, 1))), strict=False):

@@ -109,17 +109,18 @@ def measured_ms(run: Run) -> float:
     slope = BEGIN_S * max(
         -0.1 * run.w_e, min(0.1 * run.w_e, run.m_s2 * MECHANICAL * motor.pole_pairs)
     )
-    loss = {"at_s": run.begin_s, "drive": 1, "kind": "adhesion_loss", "depth": run.loss}
+    first = config.nodes[0]
+    loss = {"at_s": run.begin_s, "drive": first, "kind": "adhesion_loss", "depth": run.loss}
     described = scenario({
         "title": "forecast", "seed": run.seed, "event": [loss], "duration_s": BEGIN_S + 1.0,
-        "drives": len(config.nodes), "thermal": {"start": "ambient"},
+        "nodes": list(config.nodes), "thermal": {"start": "ambient"},
         "load": {"kind": "preset", "torque_nm": load, "wheel_within": 0.01},
         "motion": {"profile": [[0.0, run.w_e - slope], [2.0 * BEGIN_S, run.w_e + slope]]},
         "sensors": {"current_noise_var": config.estimator.current_noise_var * share**2,
                     "current_range_a": 100.0 * motor.I_rated},
     })  # fmt: skip
     plant = simulated(motor, run.w_e / motor.pole_pairs, load)
-    drives = Simulation(described, run.codec, nodes=config.nodes, motor=plant)
+    drives = Simulation(described, run.codec, motor=plant)
     gateway, period = Gateway(config, run.codec, 0), config.loop.period_ns
     begin = run.begin_s * SECOND
     for now in range(period, int(begin) + LIMIT_NS + 1, period):

@@ -11,7 +11,7 @@ from dbc.arrays import Array
 from sim.physics.plant import SLIP_LIMITERS, Motor, parameters, set_slip_limiter
 from sim.physics.sensors import PHASES
 from sim.scenario import Scenario
-from sim.scenario_schema import Curve, Factors
+from sim.scenario_schema import Factors
 
 _R_S, _L_S, _PSI, _SHARE, _WHEEL, _OFFSET, _GAIN = 6, 7, 8, 9, 12, 13, 14
 """Purposes of the random streams: one generator per purpose and drive."""
@@ -45,15 +45,15 @@ class Variety:
         )
         """(N, 3), per phase."""
         self._share = self.p.share.copy()
-        self._curves: list[Curve] = load.curve
+        self._curves = [(scenario.nodes.index(curve.drive), curve) for curve in load.curve]
 
     def share(self, t_s: float) -> Array:
         """(N,) share of the load that falls to each drive at this time."""
         out = self._share.copy()
-        for curve in self._curves:
+        for k, curve in self._curves:
             x = (t_s - curve.at_s) / curve.for_s
             if 0.0 <= x < 1.0:
-                out[curve.drive - 1] *= 1.0 + curve.amount * np.sin(np.pi * x)
+                out[k] *= 1.0 + curve.amount * np.sin(np.pi * x)
         return out
 
     def _within(self, limit: float, purpose: int, each: int) -> Array:

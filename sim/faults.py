@@ -46,6 +46,7 @@ class Schedule:
         """Later events of a kind win over earlier ones on the same drive."""
         self._scenario = scenario
         self._n = scenario.drives
+        self._disturbances = [(scenario.nodes.index(d.drive), d) for d in scenario.load.disturbance]
         self._start_rail = rail(scenario.load.rail)
         self._rated_copper_w = 1.5 * motor.R_s * motor.I_rated**2
         self._scale = motor.T_rated / 30.0
@@ -56,10 +57,10 @@ class Schedule:
 
     def insert(self, event: Event) -> None:
         """Add an event, in order of time. Raises ValueError for a drive that does not exist."""
-        who = [d - 1 for d in self._scenario.drives_of(event.drive)]
-        if not all(0 <= d < self._n for d in who):
-            msg = f"drive {event.drive} is not one of the {self._n} drives"
-            raise ValueError(msg)
+        nodes = self._scenario.nodes
+        if isinstance(event.drive, int) and event.drive not in nodes:
+            raise ValueError(f"drive: {self._scenario.no_node(event.drive)}")
+        who = [nodes.index(d) for d in self._scenario.drives_of(event.drive)]
         insort(
             self._by_kind.setdefault(event.kind, []), (event, who), key=lambda item: item[0].at_s
         )
@@ -85,12 +86,12 @@ class Schedule:
             if event.at_s <= last and event.end_s > first:
                 left = 1.0 - _depth(event, t_s)
                 out[:, who] = np.minimum(out[:, who], left[:, None])
-        for item in self._scenario.load.disturbance:
+        for k, item in self._disturbances:
             x = (t_s - item.at_s) / item.for_s
             inside = (x >= 0.0) & (x < 1.0) & (healthy_nm != 0.0)
             if inside.any():
                 pull = item.amplitude_nm * np.sin(np.pi * x[inside])
-                out[inside, item.drive - 1] *= 1.0 - pull / healthy_nm[inside]
+                out[inside, k] *= 1.0 - pull / healthy_nm[inside]
         return out
 
     def losing(self, t_s: float) -> Flags:
@@ -99,9 +100,9 @@ class Schedule:
         at = np.array([t_s])
         for event, who in self._active("adhesion_loss", t_s):
             out[who] |= bool(_depth(event, at)[0] > 0.0)
-        for item in self._scenario.load.disturbance:
+        for k, item in self._disturbances:
             if item.at_s <= t_s < item.at_s + item.for_s and item.amplitude_nm:
-                out[item.drive - 1] = True
+                out[k] = True
         return out
 
     def rails(self, t_s: float) -> list[Rail]:

@@ -26,6 +26,7 @@ from sim.scenario_schema import (
     Mismatch,
     Motion,
     MotorChoice,
+    Node,
     Number,
     Sensors,
     Span,
@@ -206,7 +207,13 @@ class Scenario(Strict):
         1, description="Of everything random. The same seed gives the same run."
     )
     duration_s: Annotated[float, within(0.01, 1e7, "s", "a tick is 0.01 s")]
-    drives: int = Field(3, ge=1, le=MAX_DRIVES, description="Simulated drives, numbered from 1.")
+    drives: int = Field(3, ge=1, le=MAX_DRIVES, description="Number of simulated drives.")
+    nodes: list[Node] = Field(
+        default_factory=lambda known: list(range(1, known.get("drives", 0) + 1)),
+        max_length=MAX_DRIVES,
+        description="Their node numbers, which `drive` names; by default 1 to `drives`, or with "
+        "`--config` the configuration's first ones.",
+    )
     traffic: Literal["full", "slow"] = Field(
         "full",
         description='"slow": the drives send only Motion, Status and Temperatures, and their '
@@ -227,10 +234,17 @@ class Scenario(Strict):
     thermal: ThermalStart = ThermalStart()
     bus: BusModel = BusModel()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _count_nodes(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and isinstance(nodes := given.get("nodes"), list):
+            return {"drives": len(nodes), **given}
+        return given
+
     @model_validator(mode="after")
     def _drives_exist(self) -> Self:
         wrong = [
-            f"{where}[{k}].drive: {drive} is not one of the {self.drives} drives"
+            f"{where}[{k}].drive: {self.no_node(drive)}"
             for where, items in (
                 ("event", [e.drive for e in self.event]),
                 ("expect", [e.drive for e in self.expect]),
@@ -238,8 +252,10 @@ class Scenario(Strict):
                 ("load.curve", [c.drive for c in self.load.curve]),
             )
             for k, drive in enumerate(items)
-            if isinstance(drive, int) and not 1 <= drive <= self.drives
+            if isinstance(drive, int) and drive not in self.nodes
         ]
+        if len(set(self.nodes)) != self.drives:
+            wrong.append(f"nodes: expected {self.drives} different numbers, one for each drive")
         wrong += self._late()
         wrong += [f"expect[{k}].{problem}" for k, problem in self._vacuous()]
         lists = {f"mismatch.{k}": getattr(self.mismatch, k) for k in ("R_s", "L_s", "psi_pm")}
@@ -298,14 +314,23 @@ class Scenario(Strict):
                 yield k, f"within_ms: until {until_s:g} s, but {end}"
 
     def drives_of(self, who: int | str) -> tuple[int, ...]:
-        """Drive numbers 1..n meant by `drive` of an event or an expectation."""
+        """Node numbers meant by `drive` of an event or an expectation."""
         if isinstance(who, int):
             return (who,)
-        everyone = tuple(range(1, self.drives + 1))
         if who == "all":
-            return everyone
+            return tuple(self.nodes)
         named = {d for e in self.event for d in self.drives_of(e.drive)}
-        return tuple(d for d in everyone if d not in named)
+        return tuple(d for d in self.nodes if d not in named)
+
+    @property
+    def names_nodes(self) -> bool:
+        """Whether the scenario itself says which nodes its drives are."""
+        return "nodes" in self.model_fields_set
+
+    def no_node(self, drive: int) -> str:
+        """Message: there is no such node."""
+        nodes = ", ".join(map(str, self.nodes))
+        return f"{drive} is not one of the nodes {nodes}: name one of them"
 
 
 def parse(table: Mapping[str, Any], source: str = "scenario", text: str = "") -> Scenario:

@@ -25,6 +25,8 @@ def problems_of(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """One line per problem: `event[2].kind: ..`. model: of the whole file."""
     found: dict[str, list[Any]] = {}
     for item in error.errors():
+        if item["type"] == "default_factory_not_called":
+            continue  # a key on which the default depends is wrong, and is reported
         found.setdefault(_path(item["loc"]), []).append(item)
     return [line for path, items in found.items() for line in _described(path, items, model)]
 

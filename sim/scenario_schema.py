@@ -18,6 +18,7 @@ Time = Annotated[float, within(0, 1e7, "s", "give it in seconds from the start")
 Span = Annotated[
     float, within(0.001, 1e7, "s", "give it in seconds; what is shorter has no effect")
 ]
+Node = Annotated[int, within(1, 16, "", "the n of Drive{n}_PhaseCurrents")]
 Number = Annotated[float, within(-1e6, 1e6, "", "too large for a train: check its unit")]
 Positive = Annotated[float, within(1e-7, 1e6, "", "a parameter of the motor, in SI units")]
 Points = Annotated[list[tuple[Time, Number]], Field(min_length=1)]
@@ -102,7 +103,7 @@ class Disturbance(Strict):
     `for_s`.
     """
 
-    drive: int = Field(ge=1)
+    drive: int
     at_s: Time
     for_s: Span
     amplitude_nm: Number
@@ -114,7 +115,7 @@ class Curve(Strict):
     Its share is multiplied by 1 + `amount` times half a period of a sine, in steps of 10 ms.
     """
 
-    drive: int = Field(ge=1)
+    drive: int
     at_s: Time
     for_s: Span
     amount: float = Field(ge=-0.5, le=0.5)

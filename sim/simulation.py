@@ -57,7 +57,6 @@ class Simulation:
         scenario: Scenario,
         codec: Codec,
         *,
-        nodes: Sequence[int] | None = None,
         self_start: bool = True,
         start_ns: Nanos = 0,
         verifier: Callable[[], Verifier] | None = None,
@@ -65,21 +64,17 @@ class Simulation:
     ) -> None:
         """Build the world at time `start_ns`.
 
-        `nodes`: CANopen numbers of drives 1..n, default 1..n. With `self_start` the drives go
-        Operational by themselves, else an NMT master has to start them. `verifier` makes each
-        drive's receiver of authenticated flags; None: flags need no authentication. `motor`: of all
-        drives, in place of the scenario's.
+        With `self_start` the drives go Operational by themselves, else an NMT master has to start
+        them. `verifier` makes each drive's receiver of authenticated flags; None: flags need no
+        authentication. `motor`: of all drives, in place of the scenario's.
 
-        Raises ValueError when there are fewer nodes than drives, when the DBC lacks messages of a
-        drive, or when a cycle time is not a multiple of 125 us.
+        Raises ValueError when the DBC lacks messages of a drive, or when a cycle time is not a
+        multiple of 125 us.
         """
         self.scenario = scenario
         self.codec = codec
         n = scenario.drives
-        self.nodes = tuple(range(1, n + 1) if nodes is None else nodes)[:n]
-        if len(self.nodes) < n:
-            msg = f"{n} drives need as many nodes, got {self.nodes}"
-            raise ValueError(msg)
+        self.nodes = tuple(scenario.nodes)
         motor = motor or scenario.motor.machine
         self._schedule = Schedule(scenario, motor)
         self._profile = Profile(scenario, motor.pole_pairs)

@@ -89,8 +89,8 @@ def flags_and_speeds(simulated, coded, through=lambda frames, now: frames, **con
 
     through: which frames of those sent until a tick, and earlier, arrive in it.
     """
-    nodes = tuple(range(1, simulated.drives + 1))
-    simulation = Simulation(simulated, coded, nodes=nodes)
+    nodes = simulated.nodes
+    simulation = Simulation(simulated, coded)
     drives = {"drive": [{"node": node} for node in nodes]}
     core = Gateway(parse_config({"dbc": {"file": str(coded.path)}, **drives, **config}), coded, 0)
     flags = []

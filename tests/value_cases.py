@@ -109,13 +109,13 @@ def honest(speed, motor, fd, ticks, load=LOAD, nodes=NODES, gains=0.0, begin=0):
 def driven(profile, motor, fd, ticks, load=LOAD, nodes=NODES):
     """The same along a profile: pairs of time, s, and electrical speed, rad/s."""
     world = scenario({
-        "title": "steady", "seed": 11, "duration_s": ticks * TICK / SECOND, "drives": len(nodes),
+        "title": "steady", "seed": 11, "duration_s": ticks * TICK / SECOND, "nodes": list(nodes),
         "motor": {"name": motor},
         "motion": {"start": "rolling", "profile": list(profile)},
         "load": {"torque_nm": load * MOTORS[motor].T_rated},
         "bus": {"bitrate": 0 if len(nodes) > len(NODES) else 1_000_000},
     })  # fmt: skip
-    simulation = Simulation(world, codec(nodes, FD_FILE if fd else CLASSIC), nodes=nodes)
+    simulation = Simulation(world, codec(nodes, FD_FILE if fd else CLASSIC))
     return [block_of(simulation.step((), k * TICK)) for k in range(1, ticks + 1)]
 
 

@@ -156,8 +156,7 @@ def scenario_page() -> str:
         "",
         "One TOML file is a simulated run, a test on the virtual clock and a test on a real bus.",
         "The [tutorial](../tutorials/hil_tests.md) has an example. Required are `title`,",
-        "`duration_s` and, for a test, an `[[expect]]`. Drives are numbered from 1; with",
-        "`--config`, drive 2 is the second `[[drive]]`, whatever its node.",
+        "`duration_s` and, for a test, an `[[expect]]`. `drive` is a node number everywhere.",
         "",
     ]
     out += ["## Top level", "", *_table(scenario.Scenario, "scenario", "top"), ""]
@@ -239,7 +238,7 @@ def _limits(metadata: Iterable[typing.Any]) -> str:
 def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
-    value = field.get_default(call_default_factory=True)
+    value = field.get_default(call_default_factory=True, validated_data={"drives": 3})
     return "defaults" if isinstance(value, BaseModel) else f"`{value!r}`"
 
 

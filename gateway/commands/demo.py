@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
 
     scenario = find(options.scenario)
     config, codec = prepare(None, thermal=scenario_thermal())
-    drives = tuple(Drive(node=n) for n in range(1, scenario.drives + 1))
+    drives = tuple(Drive(node=n) for n in scenario.nodes)
     config = config.model_copy(update={"drive": drives})
     intervals, trace = Intervals(config.nodes), Trace(config.nodes)
     ticks = TickLog((intervals.add_ticks, trace.add_ticks))

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from gateway.commands.common import GOOD, add_bus, add_duration, names_bus
+from gateway.commands.common import GOOD, add_bus, add_config, add_duration, names_bus
 from gateway.commands.progress import track
 from gateway.io.console import console
 from gateway.io.whole_file import whole
@@ -32,8 +32,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="write a candump log, faster than real time")  # fmt: skip
     parser.add_argument("--truth", type=Path, metavar="FILE", help="CSV file for the ground truth")
     add_duration(parser)
-    parser.add_argument("--dbc", default="traction.dbc", metavar="FILE",
-                        help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
+    add_config(parser)
+    parser.add_argument("--dbc", metavar="FILE",
+                        help="message set: traction.dbc, traction_fd.dbc or a file "
+                        "(default: the configuration's, else traction.dbc)")  # fmt: skip
     parser.add_argument("--wait-for-start", action="store_true",
                         help="stay pre-operational until an NMT master starts them")  # fmt: skip
     parser.add_argument("--auth-key", type=Path, metavar="FILE",
@@ -48,23 +50,25 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Simulate. Without a bus and without -o, the log goes to stdout."""
     from dbc.codec import bind
+    from gateway.hil.fitting import fitted
     from gateway.settings.config import BUILTIN_DBC, shipped_dbc
     from sim.scenario import find
     from sim.simulation import Simulation
 
     scenario = find(options.scenario)
-    nodes = tuple(range(1, scenario.drives + 1))
-    path = Path(options.dbc)
-    if options.dbc in BUILTIN_DBC and not path.is_file():
-        path = shipped_dbc(options.dbc)
-    codec = bind(path, nodes)
+    if options.config is not None:
+        scenario, _, codec = fitted(options.config, scenario)
+    if options.config is None or options.dbc is not None:
+        path = Path(options.dbc or "traction.dbc")
+        if str(path) in BUILTIN_DBC and not path.is_file():
+            path = shipped_dbc(str(path))
+        codec = bind(path, tuple(scenario.nodes))
     on_bus = names_bus(options)
     if on_bus:
         # One step imports everything before the clock starts: real time does not wait for it.
-        Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
+        Simulation(scenario, codec).step((), 250_000_000)
     simulation = Simulation(
-        scenario, codec, nodes=nodes, self_start=not options.wait_for_start,
-        verifier=_verifier(options),
+        scenario, codec, self_start=not options.wait_for_start, verifier=_verifier(options)
     )  # fmt: skip
     seconds = scenario.duration_s if options.duration is None else options.duration
     # A run on a bus cannot be repeated, so its truth is kept even if a signal ends the run.

@@ -119,9 +119,7 @@ def run_virtual(
     """
     watch = tuple(watch)
     authenticator, verifier = both_sides(key)
-    simulation = Simulation(
-        scenario, codec, nodes=config.nodes, self_start=False, verifier=verifier
-    )
+    simulation = Simulation(scenario, codec, self_start=False, verifier=verifier)
     gateway = Gateway(config, codec, 0, authenticator)
     if left is not None:
         left.begin(gateway)

@@ -35,7 +35,7 @@ class Done(NamedTuple):
 
 def rehearse(scenario: Scenario, config: Config, codec: Codec) -> None:
     """Run three ticks of the drives, so that nothing has to be imported while the clock runs."""
-    simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
+    simulation = Simulation(scenario, codec, self_start=True)
     for tick in range(3):
         simulation.step([], tick * config.loop.period_ns)
 
@@ -65,7 +65,7 @@ def run_demo(
     bus = {"interface": "virtual", "channel": channel}
     ours = Guarded(PythonCan(bus, clock, no_stamp), allowed(Mode.HIL, config, codec))
     theirs = PythonCan(bus, clock, no_stamp)
-    simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=False)
+    simulation = Simulation(scenario, codec, self_start=False)
     gateway = Gateway(config, codec, 0)
     node = CanopenNode(config.nodes, nmt_master=True)
     truth: list[Truth] = []

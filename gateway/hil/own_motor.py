@@ -1,4 +1,4 @@
-"""A scenario with the configuration's motor, so that simulation and filters use the same one."""
+"""A scenario with the configuration's nodes and motor: simulation and filters use the same."""
 
 from __future__ import annotations
 
@@ -37,6 +37,17 @@ def with_motor_of(config: Config, scenario: Scenario) -> Scenario:
         table["motor"] = {**motor.model_dump(), "U_dc": _link_v(motor, scenario)}
     _scale(table, scenario, motor)
     return parse(table, scenario.title)
+
+
+def with_nodes_of(config: Config, scenario: Scenario) -> Scenario:
+    """The scenario with the configuration's first nodes, unless it names nodes itself.
+
+    Raises ScenarioError if it then names a drive that does not exist.
+    """
+    nodes = list(config.nodes[: scenario.drives])
+    if scenario.names_nodes or nodes == scenario.nodes:
+        return scenario
+    return parse({**_table(scenario), "nodes": nodes}, scenario.title)
 
 
 def save_scenario(scenario: Scenario, path: Path) -> None:

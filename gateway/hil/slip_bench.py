@@ -74,12 +74,9 @@ def scenario_of(track: Track, duration_s: float = LONGEST_S) -> Scenario:
 class Bench(Simulation):
     """The simulated drives of a track, whose torque follows the flags on the bus."""
 
-    def __init__(
-        self, track: Track, codec: Codec, nodes: tuple[int, ...] | None = None, *,
-        self_start: bool = False,
-    ) -> None:  # fmt: skip
+    def __init__(self, track: Track, codec: Codec, *, self_start: bool = False) -> None:
         """The drives act on the flags by `FlagLaw`."""
-        super().__init__(scenario_of(track), codec, nodes=nodes, self_start=self_start)
+        super().__init__(scenario_of(track), codec, self_start=self_start)
         self.train = BrakingTrain(track, FlagLaw(), self._flags)
         self._plant = self.train
 
@@ -96,7 +93,7 @@ def configured(track: Track) -> tuple[Config, Codec]:
 def ride_with_gateway(track: Track, longest_s: float = LONGEST_S) -> Run:
     """One run with our gateway on a virtual bus."""
     config, codec = configured(track)
-    bench = Bench(track, codec, tuple(config.nodes))
+    bench = Bench(track, codec)
     bus = VirtualBus(bench, Gateway(config, codec, 0))
     for _ in range(round(longest_s * config.loop.rate_hz) + 1):
         bus.step()

@@ -185,10 +185,11 @@ class _Stream:
     ) -> None:
         motor, share = one.motor, one.motor.I_rated / BENCH_MOTOR.I_rated
         load = LOAD * min(motor.T_rated, motor.torque_nm)
-        loss = {"at_s": begin / SECOND, "drive": 1, "kind": "adhesion_loss", "depth": DEPTH}
+        at_s, first = begin / SECOND, one.nodes[0]
+        loss = {"at_s": at_s, "drive": first, "kind": "adhesion_loss", "depth": DEPTH}
         scenario = parse({
             "title": "synthetic loss", "seed": 2 if lost else 1, "event": [loss] if lost else [],
-            "duration_s": (begin + 2 * WITHIN_NS) / SECOND, "drives": len(one.nodes),
+            "duration_s": (begin + 2 * WITHIN_NS) / SECOND, "nodes": list(one.nodes),
             "load": {"kind": "preset", "torque_nm": load},
             "motion": {"speed": speed * motor.pole_pairs},
             "sensors": {"current_noise_var": config.estimator.current_noise_var * share**2,
@@ -197,9 +198,7 @@ class _Stream:
         })  # fmt: skip
         self.nodes = one.nodes
         self._codec = one.codec
-        self._make = partial(
-            Simulation, scenario, one.codec, nodes=one.nodes, motor=simulated(motor, speed, load)
-        )
+        self._make = partial(Simulation, scenario, one.codec, motor=simulated(motor, speed, load))
         mapped = [plan for plan in one.plans if plan.node in one.nodes]
         self._inverters = [Inverters([plan], one.codec) for plan in mapped]
         self._chunks: list[dict[int, list[Frame]]] = []

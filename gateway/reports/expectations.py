@@ -28,7 +28,7 @@ class Expectation(Protocol):
 
     @property
     def drive(self) -> int | str | None:
-        """A number from 1 on, `all` or `others` (drives that no event names)."""
+        """A node number, `all` or `others` (drives that no event names)."""
 
     @property
     def after_s(self) -> float:
@@ -99,7 +99,7 @@ def judge(
 ) -> list[Verdict]:
     """Check every expectation, for each of its drives.
 
-    touched: drives that events name. Drive 1 of a scenario is the first of the track's nodes.
+    touched: nodes of the drives that events name.
     """
     verdicts = []
     for expect in expectations:
@@ -108,9 +108,9 @@ def judge(
         elif expect.drive in (None, "all"):
             nodes = track.nodes
         elif expect.drive == "others":
-            nodes = tuple(n for k, n in enumerate(track.nodes, 1) if k not in touched)
+            nodes = tuple(n for n in track.nodes if n not in touched)
         else:
-            nodes = (track.nodes[int(expect.drive or 1) - 1],)
+            nodes = (int(expect.drive or 0),)
         verdicts += [_one(expect, track.seen.get((expect.flag, n), []), n, start_ns) for n in nodes]
     return verdicts
 

@@ -86,13 +86,13 @@ def slow_round(path, span_s):
     rounds = (0.0, 1.0)
     simulation = Simulation(
         parse_scenario({
-            "title": "soak", "seed": 11, "duration_s": 2 * span_s, "drives": len(NODES),
+            "title": "soak", "seed": 11, "duration_s": 2 * span_s, "nodes": list(NODES),
             "traffic": "slow",
             "motion": {"profile": [[(t + r) * span_s, w] for r in rounds for t, w in duty]},
             "load": {"kind": "preset", "smooth_s": 2.0,
                      "profile": [[(t + r) * span_s, nm] for r in rounds for t, nm in pull]},
         }),
-        codec, nodes=NODES,
+        codec,
     )  # fmt: skip
     frames = [block_of(simulation.step((), k * SECOND)) for k in range(1, 2 * span_s + 1)]
     return codec, [b._replace(t_ns=b.t_ns - span_s * SECOND) for b in frames[span_s:]]

@@ -115,7 +115,7 @@ def train(dbc=CLASSIC, creeps=False):
 def _record(dbc, creeps):
     """From the simulator; frames tick by tick, and the ends of the ticks among them."""
     bound = codec(NODES, dbc)
-    simulation = Simulation(_scenario(creeps), bound, nodes=NODES)
+    simulation = Simulation(_scenario(creeps), bound)
     frames, rolling = [], []
     for k in range(1, 2 * LOOP_TICKS + 1):
         block = block_of(simulation.step((), k * TICK))

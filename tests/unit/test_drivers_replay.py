@@ -92,7 +92,7 @@ def healthy(seconds=8.0, skip=()):
     from sim.simulation import Simulation
 
     scenario = parse({"title": "t", "seed": 4, "duration_s": seconds, "drives": 3}, "t")
-    simulation = Simulation(scenario, CODEC, nodes=(1, 2, 3))
+    simulation = Simulation(scenario, CODEC)
     frames = [f for k in range(round(100 * seconds)) for f in simulation.step((), k * 10 * MS)]
     return [f._replace(t_ns=f.t_ns + START, channel="can0") for f in frames]
 

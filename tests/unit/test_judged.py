@@ -31,8 +31,7 @@ def recorded(load, drives, lost=False):
         seed=5, duration_s=SECONDS, drives=drives, event=[loss] if lost else [],
         motion={"profile": [(0.0, SPEED)]}, load={"torque_nm": load * RATED_NM},
     )  # fmt: skip
-    nodes = tuple(range(1, drives + 1))
-    simulation = Simulation(run, codec(nodes), nodes=nodes)
+    simulation = Simulation(run, codec(tuple(run.nodes)))
     return [simulation.step((), k * TICK) for k in range(1, round(SECONDS * 100) + 1)]
 
 
@@ -217,7 +216,7 @@ DAY = 550
 def sent(w_e, path):
     """What drives that turn steadily send, by the tick."""
     run = scenario(seed=3, duration_s=6.0, motion={"profile": [[0.0, w_e]]})
-    simulation = Simulation(run, codec(NODES, path), nodes=NODES)
+    simulation = Simulation(run, codec(NODES, path))
     return [simulation.step((), now) for now in range(TICK, DAY * TICK + 1, TICK)]
 
 

@@ -32,7 +32,7 @@ def ticks(left_out=(), delays_ns=None):
         seed=3, duration_s=SECONDS, motion={"profile": [[0.0, 200.0]]},
         load={"kind": "preset", "torque_nm": LOAD_NM},
     )  # fmt: skip
-    simulation = Simulation(run, codec(NODES), nodes=NODES)
+    simulation = Simulation(run, codec(NODES))
     taken, sent = dict.fromkeys(HALVES, 0), dict.fromkeys(HALVES, 0)
     waiting = []
     for now in range(TICK, round(SECONDS * 1e9) + 1, TICK):

@@ -78,7 +78,7 @@ def blocks(depth, seed):
         "motion": {"start": "rolling", "profile": [(0.0, SPEED), (END_S, SPEED)]},
         "load": {"torque_nm": 18.0},
     })  # fmt: skip
-    simulation = Simulation(world, BOUND, nodes=NODES)
+    simulation = Simulation(world, BOUND)
     kept = 0
     for k in range(1, round(END_S * SECOND / TICK)):
         block = block_of(simulation.step((), k * TICK))

@@ -110,24 +110,20 @@ def test_half_a_motor_is_refused(motor, problem):
         scenario_of({"title": "a", "duration_s": 1.0, "motor": motor})
 
 
-def test_drive_2_of_a_scenario_is_the_second_of_the_configuration_whatever_its_node(
-    tmp_path, refused
-):
-    config, path = tmp_path / "train.toml", tmp_path / "second.toml"
-    config.write_text("".join(f"[[drive]]\nnode = {node}\n" for node in (3, 7, 2)))
-    path.write_text("""
-title = "second"
+SEVENTH = """
+title = "seventh"
+nodes = [3, 7, 2]
 duration_s = 4
 [[event]]
 at_s = 2
 for_s = 1
-drive = 2
+drive = 7
 kind = "adhesion_loss"
 depth = 0.9
 [[expect]]
 flag = "adhesion"
 is = "bad"
-drive = 2
+drive = 7
 after_s = 2
 within_ms = 200
 [[expect]]
@@ -135,20 +131,59 @@ flag = "adhesion"
 is = "bad"
 drive = "others"
 never = true
-""")
-    run = gateway.scenario(path).run(config)
-    assert run.passed, run.verdicts
-    assert [verdict.text.split(" ")[3] for verdict in run.verdicts] == ["7", "3", "2"]
-    line = refused("hil", path, "--config", config, "-i", "virtual", "-c", "x")
-    assert "simulated on a bus as nodes (1, 2, 3), [[drive]] names (3, 7, 2)" in line
+"""
+
+
+def train_of(folder, *nodes):
+    path = folder / "train.toml"
+    path.write_text("".join(f"[[drive]]\nnode = {node}\n" for node in nodes))
+    return path
+
+
+@pytest.mark.parametrize("nodes", [(), (3, 7, 2), (2, 3, 5, 7)])
+def test_a_scenario_names_its_drives_by_their_nodes(tmp_path, nodes):
+    path = tmp_path / "seventh.toml"
+    path.write_text(SEVENTH)
+    run = gateway.scenario(path).run(train_of(tmp_path, *nodes) if nodes else None)
+    bad = {row["drive"] for row in run.events.to_pylist() if row["state"] == "AdhesionLost"}
+    assert bad == {7}
+    assert run.verdicts[0].passed
+
+
+def test_the_drives_of_a_scenario_without_nodes_are_those_of_the_configuration(tmp_path, refused):
+    config = train_of(tmp_path, 5, 7, 9)
+    event = {"kind": "adhesion_loss", "depth": 0.9, "at_s": 0.2}
+    given = scenario_of({"title": "a", "duration_s": 1.0, "event": [event]})
+    scenario, _, _ = fitted(config, given)
+    assert scenario.nodes == [5, 7, 9]
+    assert given.nodes == [1, 2, 3]
+    line = refused("hil", "wet_one", "--config", config)
+    assert "event[0].drive: 2 is not one of the nodes 5, 7, 9" in line
+
+
+def test_nodes_of_a_scenario_that_the_configuration_does_not_have_are_refused(tmp_path, refused):
+    path = tmp_path / "seventh.toml"
+    path.write_text(SEVENTH)
+    line = refused("sim", path, "--config", train_of(tmp_path, 1, 2, 3))
+    assert "the scenario has nodes 3, 7, 2, [[drive]] names 1, 2, 3" in line
+
+
+def test_sim_simulates_the_nodes_and_the_motor_of_the_configuration(mine, tmp_path):
+    mine.write_text(mine.read_text().replace("node = 2", "node = 9"))
+    path, log, truth = tmp_path / "short.toml", tmp_path / "a.log", tmp_path / "truth.csv"
+    path.write_text('title = "short"\nduration_s = 0.5\nload.kind = "preset"\n')
+    files = ["-o", str(log), "--truth", str(truth)]
+    assert main(["sim", str(path), "--config", str(mine), *files]) == 0
+    rows = [row.split(",") for row in truth.read_text().splitlines()[1:]]
+    assert {row[1] for row in rows} == {"1", "9", "3"}
+    assert {float(row[4]) for row in rows} == {18.0 * 6.0}
+    assert " 189#" in log.read_text()
 
 
 def test_the_truth_of_a_bench_is_that_of_each_node(tmp_path):
-    config = tmp_path / "train.toml"
-    config.write_text("".join(f"[[drive]]\nnode = {node}\n" for node in (2, 3, 1)))
-    event = {"kind": "adhesion_loss", "depth": 0.9, "drive": 1, "at_s": 0.2}
+    event = {"kind": "adhesion_loss", "depth": 0.9, "drive": 2, "at_s": 0.2}
     given = {"title": "first", "duration_s": 1, "event": [event]}
-    bench = HilBench(*fitted(config, scenario_of(given, "first")))
+    bench = HilBench(*fitted(train_of(tmp_path, 2, 3, 1), scenario_of(given, "first")))
     bench.run(0.5)
     assert [node for node, lost in bench.lost.items() if any(one for _, one in lost)] == [2]
     bench.close()

@@ -80,7 +80,7 @@ def test_every_problem_is_listed_with_its_path():
         ({"kind": "silent", "ramp_s": 0.1}, "ramp_s: belongs"),
         ({"kind": "adhesion_loss", "depth": 1.0, "for_s": 0.1, "ramp_s": 0.06}, "two ramps"),
         ({"kind": "explosion"}, "event[0].kind"),
-        ({"kind": "silent", "drive": 4}, "event[0].drive: 4 is not one of the 3 drives"),
+        ({"kind": "silent", "drive": 4}, "event[0].drive: 4 is not one of the nodes 1, 2, 3"),
         ({"kind": "silent", "at_s": float("nan")}, "event[0].at_s"),
     ],
 )

@@ -48,7 +48,7 @@ def test_no_such_drive(gateway_flags):
     gateway_flags.expect_lost(drive=9, within_ms=10)
 
 def test_no_such_fault(inverter):
-    with pytest.raises(ValueError, match="drive 7"):
+    with pytest.raises(ValueError, match="drive: 7"):
         inverter.lose_adhesion(drive=7)
 
 @pytest.mark.parametrize(("call", "said"), [
@@ -115,7 +115,7 @@ def test_mistakes_of_a_test_are_named(failures):
     assert "PASSED test_suite.py::test_no_such_fault" in failures
     assert "none.toml: no such file" in failures
     assert "hil marker: name what 'release' is: hil(scenario=NAME or FILE, " in failures
-    assert "drive 7 is not one of the 3 drives" in failures
+    assert "drive: 7 is not one of the nodes 1, 2, 3" in failures
     for ours in ("plugin.py", "inverter.py", "faults.py", "fitting.py", "config.py"):
         assert ours not in failures, "no traceback through this package"
     assert "PASSED test_suite.py::test_unknown_at_first" in failures

@@ -53,14 +53,14 @@ class HilBench:
 
             config = config if mutant.settings is None else mutant.settings(config)
             alter = Altered(mutant, codec, config.nodes)
-        simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=not own)
+        simulation = Simulation(scenario, codec, self_start=not own)
         self._world: VirtualBus | BusWorld
         if bus is None:
             self._world = VirtualBus(simulation, Gateway(config, codec, 0), alter)
         else:
             self._world = BusWorld(simulation, config, codec, bus, alter, own_gateway=own_gateway)
         self.codec, self.config, self.scenario = codec, config, scenario
-        self.nodes = config.nodes[: scenario.drives]
+        self.nodes = simulation.nodes
         self.frames: deque[Frame] = deque(maxlen=KEPT)
         """The last frames on the bus, of drives and gateway, oldest first."""
         self.lost: dict[int, deque[tuple[Nanos, bool]]] = {

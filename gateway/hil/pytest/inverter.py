@@ -13,7 +13,7 @@ from sim.simulation import Simulation
 
 
 class Inverter:
-    """All drives of the bench; `drive` is a number from 1 or "all"."""
+    """All drives of the bench; `drive` is a node number or "all"."""
 
     def __init__(self, simulation: Simulation, now_s: Callable[[], float]) -> None:
         """Made by the bench; `now_s` returns the bench's time."""
