@@ -116,9 +116,10 @@ def _judge_all(
     """Run and judge the scenarios. results: holds the folder of the report until it is complete."""
     folder = None
     if options.results is not None:
-        from gateway.io.extras import pictures
+        if names_bus(options):
+            from gateway.io.extras import pictures
 
-        pictures("--results")
+            pictures("--results")  # of lateness
         folder = results.enter_context(whole_folder(options.results))
     folders = _folders(folder, options.scenario)
     runs: list[Run] = []

@@ -193,7 +193,6 @@ def _reporting(
 
     if options.truth is not None:
         check(options.truth)
-    extras.pictures("--results")
     folder = results.enter_context(whole_folder(options.results))
     return Reporting(folder, config, codec, MOST_OF_LOG)
 

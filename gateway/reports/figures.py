@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -135,15 +135,8 @@ def panels(wanted: Sequence[Panel], top_in: float = 0.12) -> Any:
     return figure, axes
 
 
-def line(axis: Axes, curve: Curve, *, color: str, label: str, bridge: bool = False,
-         **style: Any) -> None:  # fmt: skip
-    """Draw a curve; if ticks were merged, also the band from their smallest to largest value.
-
-    bridge: connect across unknown values, for values that come less often than ticks.
-    """
-    if bridge:
-        known = np.isfinite(curve.low)
-        curve = Curve(curve.t_s[known], curve.low[known], curve.high[known])
+def line(axis: Axes, curve: Curve, *, color: str, label: str, **style: Any) -> None:
+    """Draw a curve; if ticks were merged, also the band from their smallest to largest value."""
     style = {"lw": 1.1, **style}
     if np.array_equal(curve.low, curve.high, equal_nan=True):
         axis.plot(*broken(curve.t_s, curve.low), color=color, label=label, **style)
@@ -191,26 +184,13 @@ def strips(axis: Axes, names: Sequence[str]) -> None:
     axis.spines["left"].set_visible(False)
 
 
-def truth_bars(
-    axis: Axes, row: int, spans: Iterable[Span], high: float = 0.6, color: str = "#bbbbbb"
-) -> None:
-    """Draw the true intervals in a row of strips, with black outlines."""
-    bars = [(s.start_s, max(s.end_s - s.start_s, 1e-9)) for s in spans]
-    if bars:
-        box = (row - 0.5 * high, high)
-        axis.broken_barh(bars, box, facecolor=color, edgecolor="black", lw=0.5)
-
-
-def key(good: str = "good", bad: str = "bad", *, truth: bool = False) -> list[Any]:
+def key(good: str, bad: str) -> list[Any]:
     """Legend handles for strips."""
     from matplotlib.patches import Patch
 
-    handles = [Patch(label=word, **_BARS[flag])
+    return [Patch(label=word, **_BARS[flag])
                for flag, word in ((Flag.GOOD, f"{good} (thin)"), (Flag.BAD, f"{bad} (tall)"),
                                   (Flag.UNKNOWN, "Unknown (hatched)"))]  # fmt: skip
-    if truth:
-        handles.append(Patch(facecolor="#bbbbbb", edgecolor="black", lw=0.5, label="true"))
-    return handles
 
 
 def legend(axis: Axes, columns: int = 4) -> None:
@@ -224,14 +204,6 @@ def foot(figure: Figure, handles: list[Any]) -> None:
     """Put the legend of the strips at the bottom of the figure."""
     figure.legend(handles=handles, loc="lower left", ncols=len(handles), handlelength=1.8,
                   bbox_to_anchor=(LEFT - 0.012, 0.0), columnspacing=1.4)  # fmt: skip
-
-
-def at_least(axis: Axes, span: float) -> None:
-    """Widen the vertical axis to `span`, if the curves need less."""
-    low, high = axis.get_ylim()
-    if high - low < span:
-        middle = 0.5 * (low + high)
-        axis.set_ylim(middle - 0.5 * span, middle + 0.5 * span)
 
 
 def nothing(axis: Axes, text: str) -> None:

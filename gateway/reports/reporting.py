@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from dbc.codec import Codec
 from dbc.frame import Nanos
 from gateway.core.gateway import Gateway
-from gateway.io.extras import pictures
 from gateway.io.whole_file import write_text
 from gateway.reports import run_figures, run_report
 from gateway.reports.intervals import Intervals
@@ -49,9 +48,8 @@ class Reporting(AbstractContextManager["Reporting"]):
 
         together: number of ticks that are processed together.
 
-        Raises ConfigError if no picture can be drawn, and OSError.
+        Raises OSError.
         """
-        pictures("--results")
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.truth: Truth | None = None

@@ -66,6 +66,12 @@ def test_run_loads_nothing_for_logs_plots_pages_and_tables(tmp_path):
     assert loaded((*HEAVY, *REPORTS, "can"), COMMAND, *RUN, folder=tmp_path) == ["can"]
 
 
+def test_a_report_of_a_replay_needs_no_library_for_pictures(tmp_path):
+    words = "replay", str(GOLDEN), "-o", "y.log", "--results", "results"
+    assert not loaded(("matplotlib",), COMMAND, *words, folder=tmp_path)
+    assert (tmp_path / "results" / "drive1.svg").is_file()
+
+
 def test_mf4_is_read_and_written_in_a_program_that_started_on_a_bus(tmp_path):
     text = """
 import sys
