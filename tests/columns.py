@@ -53,7 +53,7 @@ class SlowState(NamedTuple):
 
     speed rad/s at the rotor; command and before (the one before that) Nm; irms A; operating: its
     `State` is Operation, or it sends none; command_ns: stamp of the last; steady: it has hardly
-    changed since the one before.
+    changed since the one before; emergency_ns: stamp of the last emergency that counts.
     """
 
     speed: Array
@@ -63,6 +63,7 @@ class SlowState(NamedTuple):
     operating: Flags
     command_ns: Ints
     steady: Flags
+    emergency_ns: Ints
 
 
 def told_of(records):
@@ -97,7 +98,7 @@ def slow_of(drives):
     return SlowState(
         drives["speed"], drives["command"], drives["previous_command"], drives["irms"],
         drives["operating"].view(np.bool_), drives["command_ns"],
-        drives["command_steady"].view(np.bool_),
+        drives["command_steady"].view(np.bool_), drives["emergency_ns"],
     )  # fmt: skip
 
 

@@ -37,6 +37,10 @@
  * the best-looking loads would make the reference too good. */
 #define PROBABLY_GOOD 0.5
 #define SETTLED_NS    300000000 /* a load is learnt from after it has been known for this time */
+/* An emergency comes before the `Status` that says whether the drive still operates: this is due
+ * after STATUS_DUE_NS. One that is received within STATUS_LATE_NS may have been sent before. */
+#define STATUS_DUE_NS  300000000
+#define STATUS_LATE_NS 10000000
 
 void adhesion_reset(struct adhesion *a, double spread)
 {
@@ -68,6 +72,14 @@ void adhesion_reset(struct adhesion *a, double spread)
 
 /* ---- Before the detector ---- */
 
+/* 1 if a drive sent an emergency and no `Status` since: it may have stopped, or it may not. */
+static int may_be_off(const struct drive_input *drive, int64_t now_ns)
+{
+    const int64_t then_ns = drive->emergency_ns;
+    return then_ns >= 0 && elapsed(then_ns, now_ns) < STATUS_DUE_NS &&
+           elapsed(then_ns, drive->command_ns) < STATUS_LATE_NS;
+}
+
 /* Find commands that cannot be right, and drives that cannot be judged. */
 static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
                         const struct input_status *inputs, const struct drive_input *drives,
@@ -83,8 +95,9 @@ static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
         in->command_nm = drives[k].command;
         in->previous_command_nm = drives[k].previous_command;
         in->operating = drives[k].operating;
+        in->may_be_off = (uint8_t)may_be_off(&drives[k], now_ns);
         in->adhesion = status[k].flag[FLAG_ADHESION].state;
-        in->not_judged = 0;
+        in->not_judged = in->withdrawn = 0;
     }
     assess_train(a->rotors, a->rotor_inputs, a->n, now_ns, a->tick_s, a->workspace);
     for (int k = 0; k < a->n; k++) {
@@ -200,15 +213,9 @@ static void fuse_views(struct adhesion *a, int64_t now_ns)
     for (int k = 0; k < a->n; k++) {
         struct rotor *r = &a->rotors[k];
         const struct drive_load *mine = &a->loads[k];
-        double p = fuse_loss(&a->responses[k], a->loss_probability[k], a->loss_known[k],
-                             mine->p_response, mine->response_valid, r->away);
-        /* A drive that carries more than it is asked for is not lost either. */
-        const int unreliable = now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0;
-        if (unreliable && p > UNDECIDED) {
-            p = UNDECIDED;
-            r->uncertain = 1;
-        }
-        a->loss_probability[k] = p;
+        const double p = fuse_loss(&a->responses[k], a->loss_probability[k], a->loss_known[k],
+                                   mine->p_response, mine->response_valid, r->away);
+        a->loss_probability[k] = limit_loss(r, &a->rotor_inputs[k], p, now_ns);
         a->loss_known[k] = a->loss_known[k] || is_asked(&a->responses[k]);
     }
 }

@@ -83,6 +83,11 @@ static void adhesion_evidence(const struct flag_rules *rules, const struct train
                               const struct flag_inputs *in, struct drive_evidence *out)
 {
     out->of[FLAG_ADHESION] = FLAG_UNKNOWN;
+    if (in->withdrawn && train->integrity_reason == REASON_NONE) {
+        out->adhesion_reason = REASON_NOT_AVAILABLE;
+        out->of[FLAG_ADHESION] = FLAG_GOOD;
+        return;
+    }
     if (!can_judge(train, in, &out->adhesion_reason))
         return;
     const int evidence = loss_evidence(rules, in->loss_probability);

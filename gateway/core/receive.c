@@ -13,8 +13,13 @@
 #include "gateway/core/pairing.h"
 #include "gateway/core/sequence.h"
 #include "gateway/core/supervision.h"
+#include "gateway/core/times.h"
 
-enum { EXTENDED_SHIFT = 31, HEARTBEAT_BASE = 0x700 };
+enum { EXTENDED_SHIFT = 31, EMERGENCY_BASE = 0x080, HEARTBEAT_BASE = 0x700 };
+enum { EMERGENCY_BYTES = 8 };
+/* Of emergencies within this time the first one counts: a drive that sends them all the time would
+ * never be flagged. */
+#define EMERGENCIES_NS 1000000000
 
 /* ---- Owner of a frame */
 
@@ -242,6 +247,19 @@ static void note_row(struct receiver *receiver, int64_t row)
 
 /* ---- One tick */
 
+/* Note an emergency that reports an error; code 0 reports that none is left. */
+static void note_emergency(struct receiver *receiver, const struct frame *frame)
+{
+    const int32_t k =
+        receiver->supervision->row[(frame->can_id - EMERGENCY_BASE) % HEARTBEAT_NODES];
+    const int plain = frame->length == EMERGENCY_BYTES && !(frame->flags & FRAME_FD);
+    if (!plain || (frame->data[0] | frame->data[1]) == 0 || k < 0 || k >= receiver->drive_count)
+        return;
+    int64_t *last_ns = &receiver->drives[k].emergency_ns;
+    if (*last_ns < 0 || elapsed(*last_ns, frame->t_ns) >= EMERGENCIES_NS)
+        *last_ns = frame->t_ns;
+}
+
 /* A frame of no channel, with a stamp: heartbeat, emergency or an unknown identifier. */
 static void receive_other(struct receiver *receiver, int64_t owner, const struct frame *frame)
 {
@@ -254,6 +272,7 @@ static void receive_other(struct receiver *receiver, int64_t owner, const struct
                      frame->data[0]);
         receiver->counters[RX_CANOPEN]++;
     } else {
+        note_emergency(receiver, frame);
         receiver->emergency_rows[receiver->tick.emergencies++] = frame->row;
     }
 }

@@ -119,7 +119,7 @@ def drive_inputs(drives: int) -> Records:
     """(N,) of `struct drive_input`: drives from which nothing has been received."""
     found = np.zeros(drives, DRIVE_INPUT)
     found["pending"]["t_ns"] = -1
-    found["sample_ns"] = found["newest_sample"] = -1
+    found["sample_ns"] = found["newest_sample"] = found["emergency_ns"] = -1
     for name in ("speed", "command", "previous_command", "irms"):
         found[name] = np.nan
     found["operating"] = found["command_steady"] = 1

@@ -178,6 +178,7 @@ struct flag_inputs {
     uint8_t health;            /* enum filter_health */
     uint8_t health_reason;     /* enum reason why the filter is not tracking */
     uint8_t loss_known;        /* 1: `loss_probability` is valid */
+    uint8_t withdrawn;         /* 1: the drive is off and rolls along: its flag is withdrawn */
     uint8_t may_spin_up;       /* 1: the rotor may be running away: adhesion cannot be good */
     uint8_t severe_loss;       /* 1: too much load is missing for noise: times of `severe` apply */
     uint8_t thermal;           /* enum flag_state: evidence of the temperatures */
@@ -826,7 +827,9 @@ struct rotor_inputs {
     uint8_t adhesion;           /* enum flag_state: adhesion flag of the last tick */
     uint8_t operating;          /* 1: the drive is in operation */
     uint8_t command_valid;      /* 1: the command is known; cleared if it cannot be right */
+    uint8_t may_be_off;         /* 1: it may have stopped; its next `Status` will say */
     uint8_t not_judged;         /* output, 1: the estimate of the drive is not used */
+    uint8_t withdrawn;          /* output, 1: it is off and rolls along: its flag is withdrawn */
 };
 
 /* One temperature sensor; the first three are constants. Stamps: INT64_MIN before the first. */
@@ -974,6 +977,7 @@ struct drive_input {
     double previous_command; /* torque command before that, Nm */
     double irms;             /* rms current, A, sent with the command */
     int64_t command_ns;      /* stamp of the command */
+    int64_t emergency_ns;    /* stamp of the last emergency that counts (receive.c); -1: none */
     uint8_t command_steady;  /* 1: the command hardly differs from the one before */
     uint8_t operating;       /* 1: `State` is Operation, or the drive sends none */
     uint8_t restart;         /* 1: its filter starts anew in this tick */

@@ -30,9 +30,7 @@
 /* Common load, per unit of rated torque, from which the comparison alone is evidence of a loss:
  * with less, the friction of each wheel is as large as a loss. */
 #define ACCUSING_LOAD 0.2
-#define NEAR          0.03 /* creep of a wheel that turns with the others */
-#define STEADY        0.02 /* change of its speed within 0.5 s: no brake slows it */
-#define LITTLE        0.1  /* load, per unit of rated torque, of a wheel that carries nothing */
+#define LITTLE        0.1 /* load, per unit of rated torque, of a wheel that carries nothing */
 #define CUT_OUT 0.2 /* share of its largest command, less than of a drive that follows a flag */
 /* A drive that follows its own flag changes its torque between two `Status` frames: by this share
  * of the largest command per second, but by no more than this share of its own. */
@@ -146,7 +144,7 @@ static int any_asked(const struct adhesion *a)
 /* 1 if a rotor that is tracked carries nothing and turns with the others. */
 static int turns_freely(const struct rotor *r)
 {
-    return fabs(r->creep) <= NEAR && !r->apart && fabs(r->load) <= LITTLE;
+    return turns_along(r) && fabs(r->load) <= LITTLE;
 }
 
 /* 1 if drive k rolls: the train is asked for nothing, and the drive turns freely at constant speed.
@@ -154,8 +152,7 @@ static int turns_freely(const struct rotor *r)
 static int rolls(const struct adhesion *a, int k)
 {
     const struct rotor *r = &a->rotors[k];
-    const double slow = fabs(r->slow_speed), change = r->speed * r->diameter - slow;
-    return a->responses[k].usable && turns_freely(r) && fabs(change) <= STEADY * slow;
+    return a->responses[k].usable && turns_freely(r) && is_steady(r);
 }
 
 /* 1 if drive k, cut out of a train that is driven, rolls with wheels that adhere. Its command comes
@@ -281,7 +278,7 @@ static int has_gripped(const struct adhesion *a, int k, int bad)
     const struct rotor *r = &a->rotors[k];
     const struct drive_load *mine = &a->loads[k];
     const int recent = bad || mine->regripped_s > 0.0;
-    if (!recent || r->away || r->apart || !(fabs(r->creep) <= NEAR))
+    if (!recent || r->away || !turns_along(r))
         return 0;
     if (mine->response_valid && mine->p_response > DOUBTED)
         return 0;
@@ -321,11 +318,7 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int6
         follow_regrip(a, k, carries(a, k, p), bad);
         p = held_back(a, k, p, bad, uncertain);
         a->loss_known[k] = (uint8_t)is_comparable(a, k, all);
-        /* A drive that carries more than it is asked for is not lost either. */
-        if ((now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {
-            p = UNDECIDED;
-            r->uncertain = 1;
-        }
+        p = limit_loss(r, &a->rotor_inputs[k], p, now_ns);
         a->loss_probability[k] = p;
         a->loads[k].severe_loss = a->known[k] && p >= SURE;
     }

@@ -67,6 +67,7 @@ static void gather(struct gateway *g)
         out->load_sigma_nm = estimate->load_sigma_nm;
         out->loss_probability = adhesion->loss_probability[k];
         out->loss_known = adhesion->loss_known[k];
+        out->withdrawn = adhesion->rotor_inputs[k].withdrawn;
         out->may_spin_up = adhesion->rotors[k].uncertain;
         out->severe_loss = adhesion->loads[k].severe_loss;
     }

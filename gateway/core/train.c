@@ -5,7 +5,8 @@
  *   for drives that adhere.
  * - Commands: a load that no command explains, and a command far from all others although its load
  *   is not, are errors of the `Status` message: neither a loss nor health is derived from them.
- * - State: a drive that is not in operation is not judged.
+ * - State: a drive that is not in operation is not judged, and carries nothing that it could lose:
+ *   a flag that was raised before its `Status` came is withdrawn if its wheel rolls along.
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
  * comparison with NaN is false, and each condition is written so that false is the safe answer.
@@ -14,6 +15,7 @@
 
 #include <math.h>
 
+#include "estimators/detect/command_response.h"
 #include "estimators/numbers.h"
 #include "gateway/core/rotors.h"
 
@@ -97,6 +99,16 @@ static int is_odd_command(const struct train_tick *t, int k)
     return r->odd_s > ODD_S || own > MOST_COMMAND;
 }
 
+/* 1 if a drive that is off rolls: its wheel turns with the others, one of which adheres, or at
+ * constant speed. */
+static int rolls_along(const struct train_tick *t, int k)
+{
+    int rolls = is_steady(&t->rotor[k]);
+    for (int i = 0; i < t->n; i++)
+        rolls = rolls || (i != k && t->in[i].adhesion == FLAG_GOOD);
+    return rolls && turns_along(&t->rotor[k]);
+}
+
 static void do_not_judge(struct rotor_inputs *in, uint8_t health, uint8_t reason)
 {
     in->not_judged = 1;
@@ -140,9 +152,20 @@ static void assess_commands(struct train_tick *t)
     for (int k = 0; k < t->n; k++) {
         struct rotor_inputs *in = &t->in[k];
         in->command_valid = in->command_valid && !t->rotor[k].odd;
+        in->withdrawn = !in->operating && in->adhesion == FLAG_BAD && rolls_along(t, k);
         if (!in->operating && in->health != HEALTH_INPUT_INVALID)
             do_not_judge(in, HEALTH_UNKNOWN, REASON_NOT_AVAILABLE);
     }
+}
+
+double limit_loss(struct rotor *r, const struct rotor_inputs *in, double p, int64_t now_ns)
+{
+    const int no_evidence =
+        now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0 || in->may_be_off;
+    if (!no_evidence || !(p > UNDECIDED))
+        return p;
+    r->uncertain = 1;
+    return UNDECIDED;
 }
 
 void train_reset(struct rotor *rotors, int n)

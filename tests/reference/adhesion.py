@@ -135,6 +135,9 @@ class Adhesion:
         one["health"], one["command_nm"] = told.health, slow.command
         one["previous_command_nm"], one["operating"] = slow.before, slow.operating
         one["command_valid"], one["adhesion"], one["not_judged"] = commanded, flag, 0
+        emergency = slow.emergency_ns
+        waits = (now < emergency + 300_000_000) & (slow.command_ns < emergency + 10_000_000)
+        one["may_be_off"], one["withdrawn"] = (emergency >= 0) & waits, 0
         lib.assess_train(
             pointer("struct rotor", self.rotors), pointer("struct rotor_inputs", one), self.n, now,
             self.tick_s, pointer("double", np.zeros(2 * self.n)),
@@ -281,7 +284,7 @@ class Adhesion:
             slow = not (valid[k] and alone[k] > 0.5) and not abs(self.smoothed) >= ACCUSING_LOAD
             bare = (usable[k] and not is_asked) or (slow and everyone == 0.0)
             self.lost_known.append(bool(said and not (bare and lost[k] >= 0.7)))
-            p = self._doubted(rotor, p, now)
+            p = self._doubted(k, p, now)
             self.lost.append(p)
             self.severe.append(bool(self.known[k] and p >= 0.99))
         self.alone, self.each = alone, each
@@ -311,8 +314,10 @@ class Adhesion:
         rotor["uncertain"] = uncertain if clears else 1
         return 0.0 if clears else float(lib.UNDECIDED)
 
-    def _doubted(self, rotor: Any, p: float, now: int) -> float:
+    def _doubted(self, k: int, p: float, now: int) -> float:
+        rotor = self.rotors[k]
         doubt = now < rotor["unreliable_until_ns"] or rotor["uncommanded_s"] > 0.0
+        doubt = doubt or self.inputs["may_be_off"][k]
         if not (doubt and p > lib.UNDECIDED):
             return p
         rotor["uncertain"] = 1
@@ -349,7 +354,7 @@ class Adhesion:
         for k in range(n):
             rotor = self.rotors[k]
             p = lib.fuse_loss(each + k, lost[k], known[k], alone[k], valid[k], rotor["away"])
-            self.lost.append(self._doubted(rotor, p, now))
+            self.lost.append(self._doubted(k, p, now))
             self.lost_known.append(known[k] or bool(lib.is_asked(each + k)))
             severe = lib.is_severe_loss(
                 each + k, self.common, self.normalised[k], self.sigma[k], SEVERE_SHARE,

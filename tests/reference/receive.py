@@ -188,7 +188,7 @@ class Receiver:
         self.drives = [
             Record(pending={}, counter=0, sample_ns=-1, current_sum=0.0, speed=math.nan,
                    command=math.nan, before=math.nan, irms=math.nan, operating=True,
-                   command_ns=0, steady=True, clock=None)
+                   command_ns=0, emergency_ns=-1, steady=True, clock=None)
             for _ in nodes
         ]  # fmt: skip
 
@@ -234,9 +234,17 @@ class Receiver:
             self.counts["canopen"] += 1
         elif key - 0x080 in self.supervision.nodes:
             self.emergencies.append(k)
+            self.emergency(key - 0x080, frame)
         else:
             self.counts["unknown_id"] += 1
         return None
+
+    def emergency(self, node, frame):
+        """The first of a second that reports an error."""
+        drive = self.drives[list(self.supervision.nodes).index(node)]
+        error = len(frame.data) == 8 and not frame.flags & FD and any(frame.data[:2])
+        if error and (drive.emergency_ns < 0 or frame.t_ns - drive.emergency_ns >= 10**9):
+            drive.emergency_ns = frame.t_ns
 
     def fits(self, channel, frame):
         channel.received = frame.t_ns

@@ -59,6 +59,7 @@ could lose or gain meanwhile is within `LEARN_CREEP`."""
 AGAINST: Final = 0.25
 """Share of the others' load that one which is apart carries against them: it turns backwards."""
 LEARN_CREEP: Final = 0.03
+STEADY: Final = 0.02
 """Diameters are learnt while a rotor is no further than this from where it is expected."""
 DIAMETER_FIRST_S: Final = 3.0
 """Of adhering; until then any diameter is expected."""
@@ -407,6 +408,17 @@ def _odd_command(k: int, tick_s: float, slow: SlowState, commanded: Flags, train
     return bool(train.odd_s[k] > ODD_S or own > MOST_COMMAND)
 
 
+def _is_withdrawn(k: int, flag: Ints, slow: SlowState, train: Train) -> bool:
+    """Whether a drive that was flagged is off, and turns along with a wheel that adheres or at
+    constant speed."""
+    if slow.operating[k] or flag[k] != Flag.BAD or train.apart[k]:
+        return False
+    beside = any(flag[j] == Flag.GOOD for j in range(flag.shape[0]) if j != k)
+    mean = abs(train.slow_speed[k])
+    goes_on = abs(train.speed[k] * train.diameter[k] - mean) <= STEADY * mean
+    return bool((beside or goes_on) and abs(train.creep[k]) <= LEARN_CREEP)
+
+
 def _unjudged(k: int, health: int, reason: int, told: Told) -> None:
     told.health[k], told.reason[k] = health, reason
     told.speed[k] = told.load[k] = told.sigma[k] = told.nis[k] = math.nan
@@ -415,12 +427,12 @@ def _unjudged(k: int, health: int, reason: int, told: Told) -> None:
 def assess_train(
     measured: Array, commanded: Flags, slow: SlowState, flag: Ints, now: int, tick_s: float,
     told: Told, train: Train,
-) -> None:  # fmt: skip
+) -> list[bool]:  # fmt: skip
     """Once a tick, after the estimates and before they are compared; see `train`.
 
     measured (N,): rotor speeds of fresh `Motion`, rad/s, NaN without; flag (N,): adhesion flags so
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
-    are not judged.
+    are not judged. Returned, (N,): drives whose flag is withdrawn: they are off, and roll along.
     """
     loads = _note(measured, now, tick_s, told, train)
     braking, effort = sum(loads) < 0.0, abs(sum(loads)) / max(len(loads), 1)
@@ -439,7 +451,9 @@ def assess_train(
             train.above[k] = above or slides
     for k in range(flag.shape[0]):
         train.odd[k] = commanded[k] and _odd_command(k, tick_s, slow, commanded, train)
+    withdrawn = [_is_withdrawn(k, flag, slow, train) for k in range(flag.shape[0])]
     for k in range(flag.shape[0]):
         commanded[k] = commanded[k] and not train.odd[k]
         if not slow.operating[k] and told.health[k] != Health.INPUT_INVALID:
             _unjudged(k, Health.UNKNOWN, Reason.NOT_AVAILABLE, told)
+    return withdrawn

@@ -112,7 +112,7 @@ class Both:
             opinion = self.tick(one, tick * TICK)
             yield opinion, self.decide(opinion, tick * TICK)
 
-    def tick(self, given, now, operating=True):
+    def tick(self, given, now, operating=True, emergency_ns=-1):
         told = columns.told(self.n)
         health, load, speed, command, before, (sent, steady), fresh, measured = given
         told.health[:], told.load[:], told.speed[:] = health, load, speed
@@ -121,6 +121,7 @@ class Both:
         mine = self.slow
         mine.command[:], mine.before[:], mine.command_ns[:] = command, before, sent
         mine.steady[:], mine.operating[:] = steady, operating
+        mine.emergency_ns[:] = emergency_ns
         come = validity(fresh, speed * measured)
         flag = self.status["flag"][:, FlagKind.ADHESION]
         again = copied(told)
@@ -206,7 +207,9 @@ def test_anything(n, ticks, detector):
             until_ns = (tick + rng.integers(0, 20, n)) * TICK
             for rotors in (both.core.rotors, both.plain.rotors):
                 rotors["unreliable_until_ns"] = until_ns
-        opinion = both.tick(given, tick * TICK, rng.random(n) < 0.9)
+        ago = rng.choice([1, 2, 3, 29, 30, 31, 10**6], n)
+        emergency = np.maximum(-1, (tick - ago) * TICK)
+        opinion = both.tick(given, tick * TICK, rng.random(n) < 0.9, emergency)
         if rng.random() < 0.7:
             both.decide(opinion, tick * TICK)
 

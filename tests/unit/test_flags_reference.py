@@ -204,7 +204,7 @@ def weather(rng):
     doubts = [Reason.NONE] * 4 + [Reason.SEQUENCE, Reason.OVERRUN, Reason.INTRUDER, Reason.CONFIG]
     return SimpleNamespace(
         lost=rng.choice(NUMBERS, N), known=rng.random(N) < 0.8, wrong=rng.random(N) < 0.2,
-        uncertain=rng.random(N) < 0.2, severe=rng.random(N) < 0.2,
+        uncertain=rng.random(N) < 0.2, severe=rng.random(N) < 0.2, off=rng.random(N) < 0.1,
         doubt=doubts[rng.integers(len(doubts))],
         sample_ns=rng.choice([-1, 0, 3, 9], N, p=[0.1, 0.3, 0.3, 0.3]),
         mode=list(Flag)[rng.integers(3)], silent=bool(rng.random() < 0.1),
@@ -223,6 +223,8 @@ def adhesion_of(k, told, come, world):
         (told.health[k] != Health.TRACKING, moving),
         (not world.known[k], Reason.TOO_FEW_DRIVES),
     ):
+        if world.off[k] and world.doubt is Reason.NONE:
+            return Flag.GOOD, Reason.NOT_AVAILABLE
         if applies:
             return Flag.UNKNOWN, why
     found = from_probability(world.lost[k], True, RAISE, CLEAR)
@@ -253,6 +255,7 @@ def filled(made, told, found, come, world):
         "health_reason": told.reason, "speed_rad_s": told.speed, "nis": told.nis,
         "load_nm": told.load, "load_sigma_nm": told.sigma, "loss_probability": world.lost,
         "loss_known": world.known, "may_spin_up": world.uncertain, "severe_loss": world.severe,
+        "withdrawn": world.off,
     }  # fmt: skip
     for name, column in of_stations.items():
         made.inputs[name] = column

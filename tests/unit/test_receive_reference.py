@@ -170,9 +170,9 @@ def assert_same(box, plain, *, came=True):
             assert complex(*clock["u"]) == drive.clock.u
         same_values(
             [record[name].item() for name in ("current_sum", "speed", "command", "previous_command",
-             "irms", "command_ns", "command_steady", "operating")],
+             "irms", "command_ns", "command_steady", "operating", "emergency_ns")],
             [drive.current_sum, drive.speed, drive.command, drive.before, drive.irms,
-             drive.command_ns, drive.steady, drive.operating],
+             drive.command_ns, drive.steady, drive.operating, drive.emergency_ns],
         )  # fmt: skip
     for record, node in zip(
         box.supervision.heartbeats, plain.supervision.nodes.values(), strict=True

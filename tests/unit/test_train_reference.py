@@ -54,6 +54,7 @@ def assess_train(measured, commanded, slow, flag, now, told, rotors, tick_s=TICK
     told.health[gone], told.reason[gone] = one["health"][gone], one["health_reason"][gone]
     for column in (told.speed, told.load, told.sigma, told.nis):
         column[gone] = np.nan
+    return one["withdrawn"].tolist()
 
 
 def same(rotors, plain):
@@ -142,7 +143,8 @@ def test_any_course_of_a_train(seed, n, ticks, step):
     # Diameters of which little is known, or just enough; and all that a minute teaches.
     plain.learnt_s[:] = rotors["learnt_s"] = np.resize(((0.0, 3.0, 59.95), (59.0,))[seed], n)
     plain.far[:] = rotors["far"] = True
-    met = {name: set() for name in ("far", "apart", "away", "uncertain", "odd", "above")}
+    names = ("far", "apart", "away", "uncertain", "odd", "above", "withdrawn")
+    met = {name: set() for name in names}
     doubt = np.random.default_rng(seed)
     for now, given in enumerate(course(seed, n, ticks, step)):
         measured, commanded, sent, flag, told = given
@@ -155,15 +157,18 @@ def test_any_course_of_a_train(seed, n, ticks, step):
             # From these times on a diameter is known to a percent, or known.
             one = doubt.integers(n)
             plain.learnt_s[one] = rotors["learnt_s"][one] = doubt.choice([0.5, 3.0])
-        reference.assess_train(measured, commanded, sent, flag, now, TICK_S, told, plain)
-        assess_train(*again[:4], now, again[4], rotors)
+        withdrawn = reference.assess_train(
+            measured, commanded, sent, flag, now, TICK_S, told, plain
+        )
+        assert assess_train(*again[:4], now, again[4], rotors) == withdrawn
+        met["withdrawn"] |= set(withdrawn)
         same(rotors, plain)
         np.testing.assert_array_equal(again[1], commanded)
         same_numbers(again[4].estimates, told.estimates)
-        for name, states in met.items():
-            states |= set(rotors[name].tolist())
+        for name in met.keys() - {"withdrawn"}:
+            met[name] |= set(rotors[name].tolist())
     if n > 3:
-        assert sum(states == {0, 1} for states in met.values()) > 4, met
+        assert sum(states == {0, 1} for states in met.values()) > 5, met
 
 
 LIMITS = (0.0, 0.05, 0.1, 0.12, 0.2, 0.25, 0.27, 0.3, 0.35, 0.375, 0.5, 1.0, 1.25, 1.27, 2.1, 3.0)
