@@ -36,6 +36,7 @@ def print_table(config: Config, codec: Codec, rated_rpm: float, output: Path | N
         if not any(cell.smallest(WITHIN_MS[-1]) for cell in mine):
             why = mine[-1].problem or f"every loss takes longer than {WITHIN_MS[-1]} ms"
             problems.append(f"{drives}: {why}")
+    print(f"{'':<15}A smaller loss is found later or never: its flag stays Adhering.")
     if output is not None:
         for path in forecast_table.write_forecast(output, cells):
             print(f"{'':<15}written: {path}")

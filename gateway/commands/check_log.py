@@ -49,7 +49,7 @@ def print_findings(
     problems = _print("gateway", values.traffic.strangers())
     motors = {drive.node: config.motors[drive.motor] for drive in config.drive}
     asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]
-    alone = command_fit.fell_alone(asked)
+    alone, crossed = command_fit.fell_alone(asked), command_fit.crossed(asked)
     for drive, one in zip(config.drive, asked, strict=True):
         lines = values.of_frames(drive.node)
         absent = values.absent(drive.node, explained=any(one.fits is False for one in lines))
@@ -58,7 +58,7 @@ def print_findings(
         lines += absent or fit.findings(measured, motor)
         lines += temperature_fit.findings(values.temperatures(drive))
         lines += command_fit.repeats_torque(one)
-        lines += [alone[drive.node]] if drive.node in alone else []
+        lines += [found[drive.node] for found in (crossed, alone) if drive.node in found]
         problems += _print(f"drive {drive.node}", lines)
     return problems
 

@@ -8,6 +8,7 @@ the load and hides the loss.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,6 +29,10 @@ FALL_S: Final = 0.3
 FALL: Final = 0.2
 """Fall of one drive's command in FALL_S, over rated torque, while the other commands hold."""
 OTHERS: Final = 0.05
+DIFFER: Final = 0.15
+"""Difference of two commands, over rated torque, that shows whose torque follows which."""
+FEWEST_DIFFER: Final = 5
+"""Fewest points, STEP_S apart, at which they must differ."""
 FEWEST: Final = 3
 """Fewest drives with which a fall of one drive alone can be found."""
 
@@ -90,6 +95,31 @@ def fell_alone(drives: Sequence[Commanded]) -> dict[int, Finding]:
                 " Nm, and Torque with it. If the drive's slip control did that, map the command "
                 "before it; if the train's control did, change nothing",
             )
+    return found
+
+
+def crossed(drives: Sequence[Commanded]) -> dict[int, Finding]:
+    """By node, drives that swap their commands: where these differ, each makes the other's torque."""
+    used = [one for one in drives if len(one.t) >= LEAST]
+    found = {}
+    for one, other in combinations(used, 2):
+        t = np.arange(max(one.t[0], other.t[0]), min(one.t[-1], other.t[-1]), STEP_S)
+        rated_nm = min(one.rated_nm, other.rated_nm)
+        command = [_on(t, each.t, each.command) for each in (one, other)]
+        torque = [_on(t, each.t, each.torque) for each in (one, other)]
+        differ = np.abs(command[0] - command[1]) > DIFFER * rated_nm
+        if np.count_nonzero(differ) < FEWEST_DIFFER:
+            continue
+        straight = np.abs(torque[0] - command[0]) + np.abs(torque[1] - command[1])
+        swapped = np.abs(torque[0] - command[1]) + np.abs(torque[1] - command[0])
+        if np.median(swapped[differ]) < 0.5 * np.median(straight[differ]):
+            for mine, its in ((one, other), (other, one)):
+                found[mine.node] = Finding(
+                    False,
+                    f"where commands differ, Torque follows the TorqueCommand of drive {its.node}:"
+                    " the commands of these two drives are crossed. A lost drive would never be"
+                    " cleared: correct their mapping, or their node numbers",
+                )
     return found
 
 

@@ -6,7 +6,7 @@ import pytest
 from estimators.thermal.model import TYPICAL, Inputs, predict
 from estimators.thermal.monitor import MOST_FALSE, Coverage, Known
 from estimators.thermal.record import Record
-from gateway.mapping.command_fit import Commanded, fell_alone, repeats_torque
+from gateway.mapping.command_fit import Commanded, crossed, fell_alone, repeats_torque
 from gateway.study.calibrating import Learner, Sample
 from gateway.study.calibration_fit import draw, filter_lines, fits, lines
 
@@ -184,3 +184,26 @@ def test_commands_that_fall_together_and_a_torque_that_falls_alone_are_fine():
     assert fell_alone(drives) == {}
     silent = [one._replace(t=T[:0], command=T[:0], torque=T[:0]) for one in drives]
     assert fell_alone(silent) == {}
+
+
+def test_commands_of_two_drives_that_are_crossed_are_named():
+    fallen = demand() - 15.0 * ((T > 4.0) & (T < 5.0))
+    right = [drive(demand(), noisy(demand()), 1), drive(fallen, noisy(fallen), 2),
+             drive(demand(), noisy(demand(), 3), 3)]  # fmt: skip
+    assert crossed(right) == {}
+    wrong = [drive(fallen, noisy(demand()), 1), drive(demand(), noisy(fallen), 2), right[2]]
+    found = crossed(wrong)
+    assert set(found) == {1, 2}
+    assert found[1].fits is False
+    assert "the TorqueCommand of drive 2" in found[1].text
+    backwards = [one._replace(command=-one.command, torque=-one.torque) for one in wrong]
+    assert set(crossed(backwards)) == {1, 2}
+
+
+def test_where_commands_do_not_differ_for_long_nothing_shows_that_they_are_crossed():
+    fallen = demand() - 15.0 * ((T > 4.0) & (T < 4.3))
+    assert crossed([drive(fallen, noisy(demand()), 1), drive(demand(), noisy(fallen), 2)]) == {}
+    slips = [drive(demand(), noisy(fallen), 1), drive(demand(), noisy(demand()), 2)]
+    assert crossed(slips) == {}
+    silent = [one._replace(t=T[:0], command=T[:0], torque=T[:0]) for one in slips]
+    assert crossed(silent) == {}

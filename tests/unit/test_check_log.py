@@ -12,7 +12,7 @@ from gateway.settings.config import shipped_dbc
 from gateway.settings.motors import BENCH_MOTOR
 from sim.simulation import Simulation
 from tests.inverters import spoken
-from tests.simrun import codec, log_of, run, scenario
+from tests.simrun import TICK, Flags, codec, log_of, run, scenario
 from tests.unit.test_foreign import mapped
 
 SCENARIO = {"seed": 5, "duration_s": 4.0, "drives": 2}
@@ -239,3 +239,28 @@ def test_a_drive_that_sends_no_temperature_has_no_finding_of_them():
     assert temperature_fit.findings({}) == []
     (missing, rest) = temperature_fit.findings({"Tde": np.array([np.nan]), "Tnde": np.ones(3)})
     assert (missing.fits, rest.fits) == (None, True)
+
+
+def test_crossed_commands_are_named_once_a_drive_has_obeyed_its_flag(tmp_path, capsys):
+    """Drive 1 is flagged for half a second and gives way; `Status` of 1 and 2 carry each other's."""
+    bits, flags, sent = codec(), Flags(), []
+    simulation = Simulation(scenario(**SCENARIO), bits)
+    for now in range(TICK, round(4e9) + 1, TICK):
+        lost = 2 if 1e9 <= now < 1.5e9 else 1
+        sent += simulation.step([flags.frame(now, Adhesion1=lost, Adhesion2=1)], now)
+    status = [bits.by_name[f"Drive{node}_Status"] for node in (1, 2)]
+    other = {status[0].can_id: status[1], status[1].can_id: status[0]}
+    wrong = []
+    for frame in sent:
+        if frame.can_id in other:
+            spec, data = other[frame.can_id], bytearray(frame.data)
+            protect(spec, data, frame.data[1] & 15)
+            wrong.append(frame._replace(can_id=spec.can_id, data=bytes(data)))
+        else:
+            wrong.append(frame)
+    text = "[[drive]]\nnode = 1\n[[drive]]\nnode = 2\n"
+    code, lines = check(tmp_path, text, log_of(tmp_path / "r.log", sent), capsys)
+    assert (code, [line for line in lines if "crossed" in line]) == (0, [])
+    code, lines = check(tmp_path, text, log_of(tmp_path / "w.log", wrong), capsys)
+    assert code == 2
+    assert sum("are crossed" in line for line in lines) == 2, lines

@@ -136,6 +136,7 @@ def test_the_verb_prints_a_table_and_writes_files(tmp_path, capsys, monkeypatch)
     assert main(["check", str(path), "--no-timing", "--forecast", "1500", "-o", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "drives 1, 2, motor bench" in out
+    assert "A smaller loss is found later or never" in out
     assert out.count(" rpm ") == 4
     rows = (tmp_path / "forecast.csv").read_text().splitlines()
     assert rows[0].startswith("drives,motor,speed_rpm,")
