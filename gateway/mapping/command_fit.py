@@ -99,7 +99,7 @@ def fell_alone(drives: Sequence[Commanded]) -> dict[int, Finding]:
 
 
 def crossed(drives: Sequence[Commanded]) -> dict[int, Finding]:
-    """By node, drives that swap their commands: where these differ, each makes the other's torque."""
+    """By node, drives with each other's commands: where these differ, so do their torques."""
     used = [one for one in drives if len(one.t) >= LEAST]
     found = {}
     for one, other in combinations(used, 2):

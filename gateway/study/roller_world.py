@@ -5,7 +5,8 @@ vehicle's mass, as seen from the rotors, and are held softly at the profile's sp
 rises to a peak and falls beyond it, f(x) = sin(C atan(B x)) with x the creep; an effort relieves
 the bogie's first axle and loads its second. Torque follows the demand with a lag. A drive's slip
 limiter cuts it beyond the limiter's creep; without one, the wheel runs up until no voltage is
-left. Currents and voltages follow in closed form, as in `held_world`.
+left. Friction brakes, if there are any, act on every wheel beside a braking motor and slow the
+rollers. Currents and voltages follow in closed form, as in `held_world`.
 
 In a loss the rail carries a share of the demand; it begins from 0.5 s on and grows over 1 ms to
 1 s. A wheel is `lost` in the truth while the rail carries less than the demand, or, with depth 0,
@@ -60,6 +61,12 @@ ONSET_S: Final = (0.5, 2.5)
 DEPTH: Final = (0.2, 1.0)
 RAMP_S: Final = (0.001, 1.0)
 LEAST_BITRATE_DRIVES: Final = 4
+FRICTION: Final = (0.05, 0.25)
+"""Torque of the friction brakes of a wheel, over rated torque."""
+FRICTION_AT_S: Final = (0.3, 2.5)
+FRICTION_RISE_S: Final = (0.2, 1.0)
+STANDS_RAD_S: Final = 0.5
+"""Speed of a rotor below which the friction of its brakes falls to 0."""
 
 
 class Limiter(NamedTuple):
@@ -81,7 +88,7 @@ class Kind(NamedTuple):
     """One kind of run.
 
     drives: least and most; lost: largest share of them that loses adhesion; varied: any motor and
-    bus, with drives and speed of `varied_trains`.
+    bus, with drives and speed of `varied_trains`; friction: brakes beside a motor that brakes.
     """
 
     title: str
@@ -91,6 +98,7 @@ class Kind(NamedTuple):
     commands: bool = True
     apart: float = 0.0
     varied: bool = False
+    friction: bool = False
 
 
 KINDS: Final = {
@@ -107,6 +115,8 @@ KINDS: Final = {
     "roller_varied_healthy": Kind(
         "the same, nothing lost", "slow", lost=0.0, apart=0.1, varied=True
     ),
+    "roller_friction": Kind("one of three, friction brakes, too", "slow", friction=True),
+    "roller_friction_healthy": Kind("the same, nothing lost", "slow", lost=0.0, friction=True),
 }
 
 
@@ -118,6 +128,8 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     unit = PerUnit(motor, varied and varied.motor)
     drives = int(rng.integers(kind.drives[0], kind.drives[1], endpoint=True))
     speed, load = between(rng, unit.speed, 3) * sign(rng), between(rng, (8.0, 26.0)) * sign(rng)
+    if kind.friction:
+        load = -math.copysign(load, speed)
     if varied:
         drives, speed = varied.drives, varied.speed_rad_s
     most = math.ceil(kind.lost * drives) if varied else int(kind.lost * drives)
@@ -164,17 +176,29 @@ class Waveforms(NamedTuple):
 def waveforms(name: str, scenario: Scenario) -> Waveforms:
     """Simulate the machines of a run in steps of `DT`."""
     variety, (w_ref, _, demand), carried = courses(scenario, periods(scenario) + 1)
+    brake = friction(name, scenario, len(demand))
     # Load that a loss leaves at the peak of the creep curve; infinite without a loss.
-    left = np.where(carried < 1.0, carried * np.abs(demand)[:, None], np.inf)
+    left = np.where(carried < 1.0, carried * (np.abs(demand) + brake)[:, None], np.inf)
     rig = Rig(scenario, variety, LIMITERS[KINDS[name].limiter])
     speed, torque, load, given = np.empty((4, len(demand), scenario.drives))
     slides = np.empty((len(demand), scenario.drives), np.bool_)
     for k in range(len(demand)):
-        rig.advance(w_ref[k], demand[k], left[k])
-        speed[k], torque[k], load[k], slides[k] = rig.w, rig.torque, rig.load, rig.slides
+        rig.advance(w_ref[k], demand[k], left[k], brake[k])
+        speed[k], torque[k], load[k], slides[k] = rig.w, rig.torque, rig.on_shaft, rig.slides
         given[k] = rig.limit
     rows = electrical(scenario, variety, speed, torque, load, demand)
     return Waveforms(rows, slides[1:], given[1:])
+
+
+def friction(name: str, scenario: Scenario, rows: int) -> Array:
+    """Torque (rows,) of each wheel's friction brakes, Nm at the motor's shaft."""
+    if not KINDS[name].friction:
+        return np.zeros(rows)
+    rng = np.random.default_rng([scenario.seed, STREAM, len(FRICTION)])
+    most = between(rng, FRICTION) * scenario.motor.machine.T_rated
+    since = np.arange(rows) * DT - between(rng, FRICTION_AT_S)
+    out: Array = most * np.clip(since / between(rng, FRICTION_RISE_S), 0.0, 1.0)
+    return out
 
 
 class _Rolled(Played):
@@ -227,10 +251,12 @@ class Rig:
         self.w = np.zeros(n)
         self.torque = np.zeros(n)
         self.load = np.zeros(n)
+        self.on_shaft = np.zeros(n)
+        """Torque of rail and brakes on each rotor, Nm."""
         self.slides = np.zeros(n, np.bool_)
 
-    def advance(self, w_ref: float, demand: float, left: Array) -> None:
-        """Advance one period. w_ref rad/s; demand Nm of each drive; left (N,) Nm: loss limit."""
+    def advance(self, w_ref: float, demand: float, left: Array, brake: float) -> None:
+        """Advance one period. w_ref rad/s; demand, brake Nm of each drive; left (N,) Nm: limit."""
         asked = demand * self._share
         if self._v is None:
             self._v, self.torque, self.load = w_ref, asked.copy(), asked.copy()
@@ -243,10 +269,11 @@ class Rig:
         bent = 1.0 + (self._stiff * creep) ** 2
         slope = peak * np.cos(angle) * SHAPE * self._stiff / bent / per_v
         self.load = peak * np.sin(angle)
+        self.on_shaft = self.load + brake * np.clip(self.w / STANDS_RAD_S, -1.0, 1.0)
         self.slides = np.abs(creep) > max(CREEP_LIMIT, self._peak_creep)
         self._follow(asked, creep * np.sign(demand), rolls / (v + 5.0 * np.sign(v)))
         # Linearly implicit, because the contact is faster than a period.
-        gained = DT * (self.torque - self.load)
+        gained = DT * (self.torque - self.on_shaft)
         self.w = self.w + gained / (self._j + DT * np.maximum(slope, 0.0))
         pull = float((self.load - asked).mean()) / self._mass
         self._v = v + DT * (pull + (w_ref - v) / HELD_S)

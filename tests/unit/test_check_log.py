@@ -242,7 +242,7 @@ def test_a_drive_that_sends_no_temperature_has_no_finding_of_them():
 
 
 def test_crossed_commands_are_named_once_a_drive_has_obeyed_its_flag(tmp_path, capsys):
-    """Drive 1 is flagged for half a second and gives way; `Status` of 1 and 2 carry each other's."""
+    """Drive 1 is flagged for half a second and gives way; each `Status` carries the other's."""
     bits, flags, sent = codec(), Flags(), []
     simulation = Simulation(scenario(**SCENARIO), bits)
     for now in range(TICK, round(4e9) + 1, TICK):

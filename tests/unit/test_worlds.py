@@ -104,7 +104,19 @@ def test_healthy_wheels_carry_what_their_motors_give_and_creep_below_the_peak():
     assert spread.max() < roller_world.PEAK_CREEP[1]
 
 
-@pytest.mark.parametrize("name", ["roller", "roller_slow", "roller_none"])
+def test_friction_brakes_slow_the_rollers_and_no_healthy_motor_carries_them():
+    name, scenario = "roller_friction_healthy", roller_world.draw("roller_friction_healthy", 1)
+    rows = roller_world.waveforms(name, scenario).rows
+    speed = np.abs(rows[..., columns.SPEED]).mean(axis=1)
+    braked = roller_world.friction(name, scenario, len(rows)) > 0.0
+    assert speed[-1] < 0.99 * speed[np.flatnonzero(braked)[0]]
+    assert (rows[..., columns.LOAD] * rows[..., columns.SPEED] < 0.0).all(), "motors brake"
+    assert np.abs(rows[..., columns.LOAD] - rows[..., columns.TORQUE]).max() < 0.02 * 30.0
+    plan = Plan((name,), ("switching",), (1,), world="roller")
+    assert evaluate(plan)[0].total.flags.alarms == 0
+
+
+@pytest.mark.parametrize("name", ["roller", "roller_slow", "roller_none", "roller_friction"])
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_under_a_loss_the_wheel_runs_away_as_its_effort_goes_and_never_turns_back(name, seed):
     scenario = roller_world.draw(name, seed)
