@@ -21,12 +21,15 @@
 #include "estimators/thermal/model.h"
 
 enum { L = THERMAL_LUMPS, N = IMM_STATES, SIZE = N - 2, RATE = N - 1 };
+enum { RESISTANCE = IMM_HEATS }; /* mode whose heat follows the squared current */
 
 /* K, first standard deviations of the lumps: core and frame have no sensor. */
 static const double FIRST_K[L] = {0.3, 5.0, 2.0, 0.3, 0.3};
 
 /* Heat faults that one sensor alone may show: overheating, bearings. */
 static const int LOCAL_HEAT[THERMAL_POINTS] = {0, 2, 3};
+
+static const double SPREAD = 0.5; /* share of the largest deviation that is heat as well */
 
 static const double LEAST = 1e-30;         /* least probability of a mode */
 static const double LEAST_SHARE = 1e-12;   /* smaller shares of a mixture are skipped */
@@ -185,9 +188,34 @@ static double shows(const struct imm_config *config, const struct imm_state *sta
     return most;
 }
 
+/* Point at which mode g has warmed the motor most. */
+static int warmest(const struct imm_state *state, int g)
+{
+    int most = 0;
+    for (int q = 1; q < THERMAL_POINTS; q++)
+        if (state->mean[g][THERMAL_SEEN[q]] > state->mean[g][THERMAL_SEEN[most]])
+            most = q;
+    return most;
+}
+
+/* 1 if an error of one sensor would explain what mode g does: no second reading shows the heat, and
+ * it does not follow the load, as that of a winding's resistance does. */
+static int may_be_sensor(const struct imm_config *config, const struct imm_state *state, int g)
+{
+    double most = 0.0;
+    int warm = 0;
+    for (int p = 0; p < THERMAL_POINTS; p++)
+        most = larger(most, fabs(state->mean[g][THERMAL_SEEN[p]]));
+    for (int p = 0; p < THERMAL_POINTS; p++)
+        warm += state->mean[g][THERMAL_SEEN[p]] >= larger(SPREAD * most, config->shown_k);
+    return warm < 2 && g != RESISTANCE;
+}
+
 double imm_kinds(const struct imm_config *config, const struct imm_state *state, double *kind)
 {
     double total = 0.0, sum = 0.0;
+    for (int c = 0; c < IMM_MODES - 1; c++)
+        kind[c] = 0.0;
     for (int g = 1; g < IMM_MODES; g++) {
         const double size = state->mean[g][SIZE], variance = state->cov[g][SIZE][SIZE];
         const double limit = config->benign_k[g - 1];
@@ -195,6 +223,8 @@ double imm_kinds(const struct imm_config *config, const struct imm_state *state,
         if (is_heat(g)) {
             const double shown = shows(config, state, g);
             here = here < shown ? here : shown;
+            ambiguous = may_be_sensor(config, state, g) ? config->ambiguous * here : 0.0;
+            kind[IMM_HEATS + warmest(state, g)] += state->mode[g] * ambiguous;
         } else {
             const double low = above(limit, -size, variance);
             /* It may be heat: here or, if the sensor reads low, of another motor. */
@@ -202,7 +232,7 @@ double imm_kinds(const struct imm_config *config, const struct imm_state *state,
             here += low;
             kind[LOCAL_HEAT[g - 1 - IMM_HEATS]] += state->mode[g] * ambiguous;
         }
-        kind[g - 1] = state->mode[g] * (here - ambiguous);
+        kind[g - 1] += state->mode[g] * (here - ambiguous);
         total += state->mode[g] * here;
         sum += state->mode[g] * here * fabs(size);
     }

@@ -17,6 +17,7 @@
 enum { P = THERMAL_POINTS, L = THERMAL_LUMPS };
 
 static const double NO_EXTRA[L] = {0.0};
+static const double SHARED = 0.8; /* share of a step that every point of a common one shows */
 
 void thermal_motor_reset(const struct thermal_config *config, struct thermal_motor *motor)
 {
@@ -195,6 +196,24 @@ static double others_jump(const double *sorted, int n, double own)
     return 0.5 * (middle.below + middle.above);
 }
 
+/* 1 if the readings of all points jump together, in the middle motor. No train warms within seconds:
+ * what all acquisition channels share has stepped. */
+static int is_shared_jump(const struct thermal_monitor *all, double *jump, double *sorted)
+{
+    const double least = SHARED * all->config->steps.step_k;
+    int points = 0, up = 0, down = 0;
+    for (int q = 0; q < P; q++) {
+        const int n = find_jumps(all, q, jump, sorted);
+        if (n == 0)
+            continue;
+        const double middle = median_in_place(sorted, n);
+        points++;
+        up += middle > least;
+        down += -middle > least;
+    }
+    return points > 1 && (up == points || down == points);
+}
+
 /* Find the steps of the sensors at point q. What the others' sensors show at the same time is no
  * step of this one: the model does not know their lag. */
 static void find_steps(struct thermal_monitor *all, int q)
@@ -204,7 +223,7 @@ static void find_steps(struct thermal_monitor *all, int q)
     int due = 0, n = 0;
     for (int m = 0; m < all->motor_count; m++)
         due |= is_running(&all->motors[m]) && step_is_due(config, &all->motors[m].step[q]);
-    if (due)
+    if (due && !is_shared_jump(all, jump, sorted))
         n = find_jumps(all, q, jump, sorted);
     for (int m = 0; m < all->motor_count; m++) {
         struct thermal_motor *motor = &all->motors[m];

@@ -140,14 +140,18 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
             rows.append([kind, *(f"{100.0 * share:.0f}" for share in shares)])
         head = [f"{method}: true fault; named as, %", *columns]
         yield table_of(head, rows)
-        wrong, open_ = confused([t for t in found if t.method == method])
-        row = [method, f"{100.0 * wrong:.1f}", f"{100.0 * open_:.1f}"]
-        yield table_of(["heat or sensor", "confused, % of named", "undecided %"], [row])
+        own = [t for t in found if t.method == method]
+        parts = {method: own} | {kind: [t for t in own if t.kind == kind] for kind in faults}
+        rows = [
+            [of, *(f"{100.0 * share:.1f}" for share in confused(part))]
+            for of, part in parts.items()
+        ]
+        yield table_of(["heat or sensor", "confused, % of named", "undecided %"], rows)
     if HEALTHY in kinds:
         rows = [
-            [m, f"{30.0 * mean(own).episodes:.1f}", f"{100.0 * mean(own).fpr:.2f}"]
+            [m, f"{30.0 * mean(scores).episodes:.1f}", f"{100.0 * mean(scores).fpr:.2f}"]
             for m in methods
-            if (own := [t.score for t in found if t.method == m and t.kind == HEALTHY])
+            if (scores := [t.score for t in found if t.method == m and t.kind == HEALTHY])
         ]
         yield table_of(["fault-free", "false alarms of a train in 30 days", "% of the time"], rows)
 

@@ -496,8 +496,8 @@ struct imm_config {
     double sigma[IMM_DISTURBANCES]; /* standard deviations of the disturbances */
     double benign_k[IMM_MODES - 1]; /* K, size below which each kind of fault is benign */
     double shown_k;                 /* K, least rise of some reading for a heat fault */
-    double ambiguous; /* share of a sensor fault's probability given to heat: neither is named */
-    double ambiguous_low;              /* the same share if the sensor reads low */
+    double ambiguous;     /* share of a probability that heat and a sensor give each other */
+    double ambiguous_low; /* the same share if the sensor reads low */
     struct imm_fault fault[IMM_MODES]; /* prior of each mode; that of the first mode is not used */
     int32_t modes; /* number of modes in use: IMM_MODES, or 1 for no fault at all */
 };

@@ -113,14 +113,27 @@ static void name_heat(const double *kind, struct thermal_evidence *out)
     out->fault_class = HEAT_CLASS[likeliest(kind, 0, IMM_HEATS)];
 }
 
+/* 1 if all sensors that have readings, two at least, have stepped: by something they share. */
+static int all_stepped(const struct thermal_motor *model)
+{
+    int seen = 0, stepped = 0;
+    for (int q = 0; q < P; q++) {
+        seen += isfinite(model->step[q].level_k) != 0;
+        stepped += model->step[q].offset_k != 0.0;
+    }
+    return seen > 1 && stepped >= seen;
+}
+
 /* A loose connector is a sensor that is sometimes off. */
-static void name_sensor(const double *kind, struct thermal_evidence *out)
+static void name_sensor(const struct thermal_motor *model, const double *kind,
+                        struct thermal_evidence *out)
 {
     const int c = likeliest(kind, IMM_HEATS, THERMAL_KINDS);
     out->sensor = FLAG_BAD;
     out->reason = REASON_NOT_AVAILABLE;
     out->fault_class = FAULT_SENSOR_BIAS;
-    out->fault_sensor = (uint8_t)(FAULT_ON_STATOR + (c - IMM_HEATS) % P);
+    if (!all_stepped(model))
+        out->fault_sensor = (uint8_t)(FAULT_ON_STATOR + (c - IMM_HEATS) % P);
 }
 
 /* 1 if a motor is hot, whichever of its sensors have stepped: a step is certain, and the filters get
@@ -136,6 +149,12 @@ static int is_hot_beside_steps(const struct thermal_motor *model, double named)
     return model->held && heat > LIKELY && thermal_side(kind, named) > 0;
 }
 
+/* 1 if a sensor of the motor may have stepped just now: what is undecided soon is not. */
+static int is_step_tested(const struct thermal_motor *model)
+{
+    return model->step[0].since >= 0 || model->step[1].since >= 0 || model->step[2].since >= 0;
+}
+
 /* Name the fault of a motor that has one, or a hot motor and its sensor that has stepped. */
 static void name_finding(const struct thermal_motor *model, double named,
                          struct thermal_evidence *out)
@@ -144,10 +163,11 @@ static void name_finding(const struct thermal_motor *model, double named,
     thermal_kinds(model, 1, kind);
     const int side = thermal_side(kind, named), hot = is_hot_beside_steps(model, named);
     if (side < 0 || (hot && side == 0))
-        name_sensor(kind, out);
+        name_sensor(model, kind, out);
     if (side > 0 || hot)
         name_heat(kind, out);
-    if (side == 0 && !hot) { /* a hot motor is as likely as a sensor that is off */
+    if (side == 0 && !hot) { /* it may be hot, or a sensor off: a fault without a class */
+        out->thermal = is_step_tested(model) ? FLAG_UNKNOWN : FLAG_BAD;
         out->sensor = FLAG_UNKNOWN;
         out->reason = REASON_DIVERGED;
     }
@@ -182,9 +202,9 @@ static void judge_by_model(const struct temperature_monitor *all, int j,
 static void judge_beside_fault(const struct temperature_monitor *all, int j,
                                struct thermal_evidence *out)
 {
-    struct thermal_evidence found = *out;
+    struct thermal_evidence found = no_evidence(REASON_NONE);
     judge_by_model(all, j, &found);
-    if (found.thermal != FLAG_BAD)
+    if (found.thermal != FLAG_BAD || found.fault_class == FAULT_UNKNOWN)
         return;
     out->thermal = FLAG_BAD;
     out->reason = REASON_NONE;

@@ -80,12 +80,19 @@ class Motor:
 def less_steps(motors):
     """(M, 3) K: the residuals of the last sample of every motor without steps."""
     out = np.full((len(motors), 3), np.nan)
+    known = motors[0].config
+    shared = known.step_k > 0.0 and step_detector.all_jump(
+        [[motor.window[q] for motor in motors] for q in range(3)],
+        known.before, known.after, known.step_k,
+    )  # fmt: skip
     for q in range(3):
         windows = [motor.window[q] for motor in motors]
         for m, motor in enumerate(motors):
             c, state = motor.config, motor.steps[q]
             if motor.runs and c.step_k > 0.0:
-                others = step_detector.others_jump(windows, m, c.before, c.after)
+                others = 0.0
+                if not shared:
+                    others = step_detector.others_jump(windows, m, c.before, c.after)
                 step_detector.one(
                     windows[m], state, c.before, c.after, c.step_k, c.back_k, c.drift_k, others
                 )

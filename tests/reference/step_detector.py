@@ -62,6 +62,21 @@ def others_jump(windows: Sequence[Array], m: int, before: int, after: int) -> fl
     return float(np.median(found)) if found else 0.0
 
 
+def all_jump(points: Sequence[Sequence[Array]], before: int, after: int, step: float) -> bool:
+    """Whether the middle motor jumps at all points, at least two, in one direction.
+
+    points: the motors' windows by point; each jump is beyond 0.8 of `step`.
+    """
+    signs = []
+    for windows in points:
+        found = [_jump(x, before, after, math.nan) for x in windows]
+        found = [moved for moved in found if math.isfinite(moved)]
+        if found:
+            middle = float(np.median(found))
+            signs.append(math.copysign(1.0, middle) if abs(middle) > 0.8 * step else 0.0)
+    return len(signs) > 1 and abs(sum(signs)) == len(signs)
+
+
 def start(state: Array) -> None:
     """A sensor that nothing is known of, state (5,) in place."""
     state[OFF], state[LEVEL], state[HOME], state[SINCE], state[OLD] = 0.0, math.nan, math.nan, -1, 0

@@ -48,6 +48,9 @@ def words(motor, kind, unexplained=False, cut_out=False):
         return Flag.GOOD, None, Reason.NONE, FaultClass.NONE, FaultSensor.NONE
     whose, heat = int(side(kind)), CLASSES[KINDS[int(kind[: len(HEAT)].argmax())]]
     sensor = FaultSensor(int(kind[len(HEAT) :].argmax()) % POINTS + 1)
+    seen = np.isfinite(motor["step"]["level_k"]).sum()
+    if seen > 1 and (motor["step"]["offset_k"] != 0.0).sum() >= seen:
+        sensor = FaultSensor.NONE
     if whose > 0:
         return Flag.BAD, None, Reason.NONE, heat, FaultSensor.NONE
     # A sensor that has stepped for certain is no alternative to heat.
@@ -58,14 +61,16 @@ def words(motor, kind, unexplained=False, cut_out=False):
     if stepped.any() and hot:
         return Flag.BAD, Flag.BAD, Reason.NONE, heat, sensor
     if whose == 0:
-        return Flag.UNKNOWN, Flag.UNKNOWN, Reason.DIVERGED, *NOTHING
+        tested = (motor["step"]["since"] >= 0).any()
+        thermal = Flag.UNKNOWN if tested else Flag.BAD
+        return thermal, Flag.UNKNOWN, Reason.DIVERGED, *NOTHING
     return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, FaultClass.SENSOR_BIAS, sensor
 
 
 def beside_fault(kind, whose, told):
     """The same of a motor with a faulty sensor; told: `words` of its model, whose heat counts."""
     thermal, _, why, heat, _ = told
-    if thermal is Flag.BAD:
+    if thermal is Flag.BAD and heat is not FaultClass.UNKNOWN:
         return thermal, Flag.BAD, why, heat, whose
     return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, kind, whose
 

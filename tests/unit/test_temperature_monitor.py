@@ -223,7 +223,10 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         motors["held"] = rng.random(3) < 0.6
         motors["fault_probability"] = rng.choice([0.5, 0.51], 3)
         steps = np.where(rng.random((3, 3)) < 0.1, 4.0, 0.0)
+        steps[rng.random(3) < 0.05] = 4.0
         motors["step"]["offset_k"] = steps
+        motors["step"]["level_k"] = rng.choice([0.0, np.nan], (3, 3), p=[0.9, 0.1])
+        motors["step"]["since"] = rng.choice([-1, 0], (3, 3), p=[0.8, 0.2])
         for k in range(3):
             parts = np.array([0.0, *np.sort(rng.random(10)), 1.0])
             part = np.diff(parts)
@@ -254,6 +257,8 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
     }  # fmt: skip
     assert Reason.CONFIG in {reason for _, _, reason, *_ in met}
     assert faulty == {Flag.BAD, Flag.UNKNOWN}, "hot beside a faulty sensor, or not known"
+    undecided = {thermal for thermal, _, _, kind, _ in met if kind is FaultClass.UNKNOWN}
+    assert undecided == {Flag.BAD, Flag.UNKNOWN}, "a fault without a class is raised"
 
 
 @pytest.mark.parametrize("seed", range(2))

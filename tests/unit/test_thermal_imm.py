@@ -95,6 +95,28 @@ def test_a_share_of_a_sensor_that_is_off_counts_for_heat_there(sensor):
         assert same == pytest.approx(size)
 
 
+@pytest.mark.parametrize("heat", range(imm.HEATS))
+def test_heat_that_one_reading_shows_may_be_its_sensor(heat):
+    """Unless a second reading is at least half as warm, or the heat follows the load."""
+    modes, mean, cov = beliefs(imm.MODES, 3)
+    mode = np.where(np.arange(len(modes)) == 1 + heat, 1.0, 1e-30)
+    doubting = CONFIG.copy()
+    doubting["ambiguous"] = 0.3
+    mean[:, imm.SIZE] = 30.0
+    alone = {(8.0, 3.9, -1.0): 0, (1.0, 1.0, 8.0): 2, (-8.0, 3.0, 3.0): 1, (0.5, 0.8, 0.5): 1}
+    together = dict.fromkeys(((8.0, 4.1, -1.0), (3.0, 1.0, 3.0), (0.7, 0.1, 0.7)), -1)
+    for seen, sensor in (alone | together).items():
+        mean[:, list(model.MEASURED)] = seen
+        own = imm.state(mode, mean, cov)
+        (before, size), (kind, same) = imm.kinds(CONFIG, own), imm.kinds(doubting, own)
+        want = before.copy()
+        if sensor >= 0 and heat != imm.HEATS - 1:
+            want[[heat, imm.HEATS + sensor]] += np.array([-0.3, 0.3]) * before[heat]
+        np.testing.assert_allclose(kind, want, atol=1e-9)
+        assert before[heat] > 0.05
+        assert same == pytest.approx(size)
+
+
 @pytest.mark.parametrize("dt", [0.5, 1.0, 16.0, 60.0, 120.0])
 @pytest.mark.parametrize("stiff", [0.01, 1.0, 30.0])
 def test_the_response_is_the_exponential_and_its_integral(dt, stiff):

@@ -32,8 +32,11 @@ def test_a_step_is_found_with_its_size_and_its_return(size):
     assert not off[800 + WITHIN :].any()
 
 
-def stepped(motors, steps, noise_k=NOISE_K):
-    """(M, 3) K: offsets of sensors that step by `steps` (M,) K at the ends, after 200 of 300 s."""
+def stepped(motors, steps, noise_k=NOISE_K, points=(1, 2), there=(0, 1, 2)):
+    """(M, 3) K: offsets of sensors that step by `steps` (M,) K at `points`, after 200 of 300 s.
+
+    there: points that have readings.
+    """
     duty, flat = np.array([200.0, 2e4, 0.03, 0.08]), np.zeros((motors, 3))
     parameters = np.tile(model.TYPICAL, (motors, 1))
     one = ThermalMonitor(Known(parameters, flat, flat + noise_k, 1.0, duty), 1.0)
@@ -41,9 +44,21 @@ def stepped(motors, steps, noise_k=NOISE_K):
     nothing = np.zeros(motors)
     for k in range(300):
         reading = 20.0 + noise_k * rng.standard_normal((motors, 3))
-        reading[:, 1:] += np.where(k >= 200, steps, 0.0)[:, None]
+        reading[:, list(points)] += np.where(k >= 200, steps, 0.0)[:, None]
+        reading[:, [q for q in range(3) if q not in there]] = np.nan
         one.add_sample(reading, nothing, nothing, nothing + 20.0)
     return one.offsets
+
+
+@pytest.mark.parametrize("step_k", [3.0, -12.0])
+@pytest.mark.parametrize("motors", [2, 4])
+def test_a_step_of_all_points_of_all_motors_is_one(motors, step_k):
+    """No train warms so: what the sensors share, as a supply, has stepped. A point may lack."""
+    for points in ([0, 1, 2], [1, 2]):
+        off = stepped(motors, np.full(motors, step_k), points=points, there=points)
+        assert off[:, points] == pytest.approx(step_k, abs=1.0)
+    alone = stepped(motors, np.full(motors, step_k), points=[1], there=[1])
+    assert not alone.any(), "one point alone may be the model's error"
 
 
 def test_what_all_sensors_show_is_no_step():

@@ -1,6 +1,7 @@
 """Labelled trains, scores, and the benchmark of thermal methods."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -166,6 +167,8 @@ def test_the_command(capsys, tmp_path):
     out = capsys.readouterr().out
     assert "| model | bearing | 1 |" in out
     assert "| dpca | bearing | 1 |" in out
+    # Confusion of all kinds, then of each.
+    assert re.search(r"\| model \| [\d.]+ \| [\d.]+ \|\n\| bearing \| [\d.]+ \|", out)
     assert out.strip() in (tmp_path / "evaluation.md").read_text()
 
 
