@@ -49,8 +49,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--realtime", type=int, metavar="PRIORITY",
         help="SCHED_FIFO with this priority (1 to 99) and locked memory; needs permission",
     )  # fmt: skip
-    parser.add_argument("--kernels", type=Path, metavar="DIR",
-                        help="no effect, because nothing is compiled at run time")  # fmt: skip
     add_bus(parser)
 
 
@@ -77,11 +75,6 @@ def _start(options: argparse.Namespace) -> tuple[Config, Transport, Ticker, Gate
         use_given()
     log.info("user %d, %s", os.geteuid(), described())
     transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
-    if options.kernels:
-        log.warning(
-            "--kernels %s has no effect, because nothing is compiled at run time; leave it out",
-            options.kernels,
-        )
     ticker = Ticker(config.loop.period_ns)
     _rehearse(config, codec)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)

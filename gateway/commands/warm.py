@@ -11,12 +11,10 @@ from gateway.commands.common import GOOD
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb as they were; none has an effect."""
     parser.add_argument("config", type=Path, nargs="*", metavar="CONFIG", help="without effect")
-    parser.add_argument("-o", "--output", type=Path, dest="kernels", metavar="DIR",
-                        help="without effect")  # fmt: skip
+    parser.add_argument("-o", type=Path, dest="folder", metavar="DIR", help="without effect")
 
 
 def run(_options: argparse.Namespace) -> int:
     """Print that the verb does nothing."""
-    print("`warm` does nothing: the package contains the compiled core. The next version removes")
-    print("this verb; `run` needs no --kernels.")
+    print("`warm` does nothing: the package contains the compiled core. The next version has none.")
     return GOOD
