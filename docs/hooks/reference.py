@@ -15,6 +15,7 @@ import tomllib
 import types
 import typing
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import cantools
@@ -181,10 +182,27 @@ def _about(model: type[BaseModel]) -> str:
     return inspect.getdoc(model) or ""
 
 
+@cache
+def comments() -> dict[str, dict[str, str]]:
+    """Comments of the keys of `examples/train.toml`, by section; of commented-out keys, too."""
+    out: dict[str, dict[str, str]] = {}
+    section: dict[str, str] = {}
+    key = ""
+    for line in (ROOT / "examples" / "train.toml").read_text(encoding="utf-8").splitlines():
+        if header := re.match(r"(?:# )?\[\[?([\w.]+)\]", line):
+            section, key = out.setdefault(header[1].replace(".bench", ".NAME"), {}), ""
+        elif found := re.match(r"(?:# )?(\w+) = .*?  ?# (.*)", line):
+            key = found[1]
+            section.setdefault(key, found[2])
+        elif key and (more := re.match(r" +# (.*)", line)):
+            section[key] += " " + more[1]
+    return out
+
+
 def _table(model: type[BaseModel], page: str, section: str) -> list[str]:
     """Raises LookupError for a key without a meaning, and for a meaning without its key."""
     rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
-    told = dict(MEANINGS[page].get(section, {}))
+    told = dict((comments() if page == "configuration" else MEANINGS[page]).get(section, {}))
     for name, field in model.model_fields.items():
         if field.exclude:
             continue

@@ -65,12 +65,8 @@ class Bus(Strict):
         int,
         within(10_000, 20_000_000, "bit/s", "CAN FD has up to 8 Mbit/s, CAN SIC XL 20: in bit/s"),
     ] = 5_000_000
-    send_on: tuple[str, ...] | None = Field(
-        None, description="channels on which the gateway may send; None: the one it is given"
-    )
-    on_intruder: Literal["unknown", "stop", "go_on", "tell"] | None = Field(
-        None, description="when another node sends with the gateway's identifiers"
-    )
+    send_on: tuple[str, ...] | None = None
+    on_intruder: Literal["unknown", "stop", "go_on", "tell"] | None = None
     """None: "unknown"; "tell" where flags are authenticated."""
 
     @property
@@ -175,9 +171,7 @@ class Adhesion(Extended):
     detector: Literal[
         "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
     ] = "switching"
-    observe: Literal["torque", "speed", "both"] = Field(
-        "torque", description="what the paper's VB compares; the others compare torque"
-    )
+    observe: Literal["torque", "speed", "both"] = "torque"
     tolerance: Annotated[
         float, within(0, 1, "", "give a share of the bound; 1 stops after one iteration")
     ] = 0.0
@@ -242,9 +236,7 @@ class Thermal(Extended):
     ADDED = ("false_alarms_per_1000_h",)
 
     calibration: str | None = None
-    method: Literal["model", "maisd"] = Field(
-        "model", description="a thermal model of each motor, or only how they differ"
-    )
+    method: Literal["model", "maisd"] = "model"
     limit_k: Annotated[
         float, within(0.1, 300, "K", "give the allowed temperature rise over the other motors")
     ] = 10.0
@@ -257,7 +249,7 @@ class Thermal(Extended):
     clear_s: Seconds = 5.0
     false_alarms_per_1000_h: (
         Annotated[float, within(0.001, 1000, "", "per 1000 h of operation: 1 is usual")] | None
-    ) = Field(None, description="stated rate of the thermal model")
+    ) = None
     """The alarm limit follows from this rate: `estimators.thermal.promise`."""
 
 
@@ -267,9 +259,7 @@ class Canopen(Extended):
     ADDED = ("heartbeat_ms",)
 
     nmt_master: bool = False
-    heartbeat_ms: int | None = Field(
-        None, ge=1, le=65_535, description="period of the drives' heartbeats; None: as received"
-    )
+    heartbeat_ms: int | None = Field(None, ge=1, le=65_535)
 
     @property
     def heartbeat_ns(self) -> int:
@@ -280,5 +270,5 @@ class Canopen(Extended):
 class Authentication(Strict):
     """`[authentication]`: if present, flags are authenticated. It names files, never keys."""
 
-    key: str = Field("auth.key", min_length=1, description="credential, or file beside this one")
-    trip: str = Field("trip", min_length=1, description="file that counts the starts")
+    key: str = Field("auth.key", min_length=1)
+    trip: str = Field("trip", min_length=1)

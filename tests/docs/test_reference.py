@@ -64,6 +64,6 @@ def test_every_key_and_signal_has_a_meaning(reference, page):
 
 
 def test_a_meaning_of_a_key_that_does_not_exist_is_refused(reference, monkeypatch):
-    monkeypatch.setitem(reference.MEANINGS["configuration"]["loop"], "rate", "of the loop")
+    monkeypatch.setitem(reference.comments()["loop"], "rate", "of the loop")
     with pytest.raises(LookupError, match=r"\[loop\] has no rate"):
         reference.configuration()
