@@ -44,6 +44,15 @@ def printable(text: str, most: int = MOST) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def near(given: object, names: Iterable[str]) -> str:
+    """Return `; did you mean 'node'?`, or an empty text if no name is similar to the given one."""
+    import difflib
+
+    of = {name.lower(): name for name in names if name != given}
+    found = difflib.get_close_matches(str(given).lower(), of, 1)
+    return f"; did you mean {of[found[0]]!r}?" if found else ""
+
+
 def number_or_nan(text: str) -> float:
     """The number in a text, or NaN, which no range of numbers includes."""
     try:

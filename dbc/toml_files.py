@@ -13,6 +13,8 @@ from typing import Any, Final, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict
 
+from dbc.text import near
+
 LONGEST: Final = 24
 """Most characters of a number that a message quotes."""
 KeyPath = tuple[str, ...]
@@ -74,16 +76,11 @@ def did_you_mean(model: Any, loc: Sequence[int | str]) -> str:
 
     model: pydantic model of the whole document; loc: path of the rejected key, the key last.
     """
-    import difflib
-
     models = [model]
     for part in loc[:-1]:
         fields = [one.model_fields[part] for one in models if part in one.model_fields]
         models = [inner for f in fields for inner in _models(f.annotation)] or models
-    given = str(loc[-1])
-    names = {name.lower(): name for one in models for name in one.model_fields if name != given}
-    near = difflib.get_close_matches(given.lower(), names, 1)
-    return f"; did you mean {names[near[0]]!r}?" if near else ""
+    return near(loc[-1], (name for one in models for name in one.model_fields))
 
 
 def _models(annotation: Any) -> Iterator[Any]:

@@ -5,9 +5,11 @@ pydantic's own messages leave out the value and its unit, and may contain the na
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from dbc.text import near
 from dbc.toml_files import LONGEST
 
 UNITS: Final = {
@@ -42,7 +44,8 @@ def joined(items: Sequence[Mapping[str, Any]]) -> str:
     if len(items) == 1 or None in expected:
         return " or ".join(dict.fromkeys(map(wording, items)))
     text = ", or ".join(dict.fromkeys(str(part) for part in expected))
-    return f"expected {text}, got {quoted(items[0]['input'])}{_cure(items[0])}"
+    cure = next(filter(None, map(_cure, items)), "")
+    return f"expected {text}, got {quoted(items[0]['input'])}{cure}"
 
 
 def quoted(value: Any) -> str:
@@ -95,6 +98,8 @@ def _is_key(part: int | str) -> bool:
 
 def _cure(item: Mapping[str, Any]) -> str:
     """What to write instead, if the expected values do not show it."""
+    if item["type"] == "literal_error":
+        return near(item["input"], re.findall(r"'([^']*)'", _expected(item) or ""))
     path = ".".join(str(part) for part in item["loc"] if isinstance(part, str))
     if item["type"] in _TABLE and not isinstance(item["input"], list):
         return f": write [{path}], and its keys below"

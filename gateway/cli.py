@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import logging
+import re
 import signal
 import sys
 import time
@@ -82,6 +83,25 @@ class _Once(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors name the verb, option or value that was probably meant."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print usage and message, exit with 2."""
+        from dbc.text import near
+
+        parsers = [self]
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 - no other way
+                parsers += action.choices.values()
+        if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            message += near(wrong[1], re.findall(r"[\w-]+", wrong[2]))
+        elif message.startswith("unrecognized arguments: -"):
+            options = (name for one in parsers for name in one._option_string_actions)  # noqa: SLF001
+            message += near(message.split()[2].partition("=")[0], options)
+        super().error(message)
+
+
 def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentParser:
     """Make the parser; only the verb in use is imported, so that `--help` stays quick.
 
@@ -89,7 +109,7 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
     """
     asked = words[:1] if words and words[0] in VERBS and not whole else VERBS
     plain = not whole and len(words) == 2 and not words[1].startswith("-")
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="traction-gateway",
         description="CAN-bus hardware-in-the-loop gateway for railway traction.",
     )

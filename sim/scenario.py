@@ -15,10 +15,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from dbc.text import InputError, TomlError, printable, read_bytes, read_toml, toml_text
+from dbc.text import InputError, TomlError, near, printable, read_bytes, read_toml, toml_text
 from dbc.toml_files import numbered, within
 from dbc.value_errors import quoted
-from sim.physics.adhesion import rail
+from sim.physics.adhesion import RAILS, rail
 from sim.scenario_errors import problems_of
 from sim.scenario_schema import (
     BusModel,
@@ -140,7 +140,7 @@ class Event(Strict):
             try:
                 rail(self.value)
             except ValueError as error:
-                yield f"value: {error}"
+                yield f"value: {error}{near(self.value, RAILS)}"
         elif isinstance(self.value, str):
             yield f"value: expected a number for {self.kind}, got {quoted(self.value)}"
         elif self.value == 0.0:
@@ -376,7 +376,7 @@ def load(path: Path | str) -> Scenario:
     try:
         text = toml_text(read_bytes(path))
     except FileNotFoundError:
-        raise ScenarioError(str(path), [_unknown("no such file")]) from None
+        raise ScenarioError(str(path), [_unknown("no such file", path.stem)]) from None
     except (OSError, TomlError) as error:
         raise ScenarioError(str(path), [f"cannot be read: {error}"]) from None
     return parse_text(text, str(path))
@@ -390,9 +390,10 @@ def builtin_names() -> tuple[str, ...]:
 def builtin(name: str) -> Scenario:
     """A scenario of the package. Raises ScenarioError for an unknown name."""
     if name not in builtin_names():
-        raise ScenarioError(name, [_unknown("no such file or scenario")])
+        raise ScenarioError(name, [_unknown("no such file or scenario", name)])
     return parse_text((_SCENARIOS / f"{name}.toml").read_text(encoding="utf-8"), name)
 
 
-def _unknown(problem: str) -> str:
-    return f"{problem}; there are {', '.join(builtin_names())}"
+def _unknown(problem: str, name: str) -> str:
+    names = builtin_names()
+    return f"{problem}; there are {', '.join(names)}{near(name, names)}"

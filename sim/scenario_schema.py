@@ -9,9 +9,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from dbc.text import near
 from dbc.toml_files import Within as Bounds
 from dbc.toml_files import within
-from sim.physics.adhesion import rail
+from sim.physics.adhesion import RAILS, rail
 from sim.physics.plant import MOTORS, Motor
 
 Time = Annotated[float, within(0, 1e7, "s", "give it in seconds from the start")]
@@ -80,7 +81,8 @@ class MotorChoice(Strict):
             raise ValueError("give either name or the motor's own parameters, not both")
         if self.name not in MOTORS:
             own = "for another give its parameters"
-            raise ValueError(f"name: unknown motor {self.name!r}: {_MOTORS}; {own}")
+            meant = near(self.name, MOTORS)
+            raise ValueError(f"name: unknown motor {self.name!r}: {_MOTORS}; {own}{meant}")
         return self
 
     @property
@@ -160,7 +162,10 @@ class Load(Strict):
     @field_validator("rail")
     @classmethod
     def _known_rail(cls, given: float | str) -> float | str:
-        rail(given)
+        try:
+            rail(given)
+        except ValueError as error:
+            raise ValueError(f"{error}{near(given, RAILS)}") from None
         return given
 
     @model_validator(mode="after")

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dbc.text import near
 from gateway.commands import evaluate_thermal
 from gateway.commands.common import GOOD, add_config, number_of_jobs
 from gateway.commands.progress import Progress
@@ -128,10 +129,13 @@ def _families(options: argparse.Namespace) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(asked))
     known = ", ".join([*world.usual, *world.groups])
     problems = [
-        f"no family {name!r}; there are {known}" for name in names if name not in world.families
+        f"no family {name!r}; there are {known}{near(name, [*world.families, *world.groups])}"
+        for name in names
+        if name not in world.families
     ]
     if options.motor not in MOTORS:
-        problems.append(f"no motor {options.motor!r}; there are {', '.join(MOTORS)}")
+        meant = near(options.motor, MOTORS)
+        problems.append(f"no motor {options.motor!r}; there are {', '.join(MOTORS)}{meant}")
     if problems:
         raise ConfigError("evaluate", problems)
     return names

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from dbc.text import near
 from gateway.commands.common import GOOD
 from gateway.commands.progress import Progress, track
 from gateway.io.console import console
@@ -160,6 +161,9 @@ def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tu
     names = tuple(dict.fromkeys(asked or known))
     unknown = [name for name in names if name not in known]
     if unknown:
-        lines = [f"no {what} {name!r}; there are {', '.join(known)}" for name in unknown]
+        lines = [
+            f"no {what} {name!r}; there are {', '.join(known)}{near(name, known)}"
+            for name in unknown
+        ]
         raise ConfigError(f"--{what}", lines)
     return names

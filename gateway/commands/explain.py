@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from dbc.text import near
 from gateway.commands.common import GOOD
 from gateway.settings.config import ConfigError
 
@@ -22,11 +23,12 @@ def run(options: argparse.Namespace) -> int:
         return GOOD
     unknown = [word for word in options.code if not explanations.named(word)]
     if unknown:
-        from difflib import get_close_matches
-
-        names = [one.name for one in explanations.ALL]
-        near = [match for word in unknown for match in get_close_matches(word, names, 1)]
-        cure = f"did you mean {', '.join(near)}?" if near else "`explain` without a code prints all"
-        raise ConfigError("explain", [f"no code {', '.join(unknown)}", cure])
+        names, cure = (
+            [one.name for one in explanations.ALL],
+            "; `explain` without a code prints all",
+        )
+        raise ConfigError(
+            "explain", [f"no code {word}{near(word, names) or cure}" for word in unknown]
+        )
     print(explanations.text([one for word in options.code for one in explanations.named(word)]))
     return GOOD

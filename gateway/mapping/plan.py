@@ -19,6 +19,7 @@ from dbc.codec import Codec
 from dbc.e2e import p02_data_ids
 from dbc.frame import MS, Nanos
 from dbc.spec import DbcMismatch, MessageSpec, Profile, SignalSpec
+from dbc.text import near
 from gateway.settings.config import Config, ConfigError, Motor
 from gateway.settings.sections import Drive
 from gateway.settings.signal_map import Signals, Source
@@ -178,23 +179,23 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
     for name, source in signals.use.items():
         spec = by_name.get(source.message)
         if spec is None:
-            why = _why(left_out, source.message)
+            why = _why(left_out, source.message) or near(source.message, sends.values())
             problems.append(f"use.{name}: {path.name} has no message {source.message!r}{why}")
             continue
         found = {signal.name: signal for signal in spec.signals}.get(source.name)
         if found is None:
-            known = ", ".join(signal.name for signal in spec.signals)
-            why = _why(left_out, source.name)
-            problems.append(
-                f"use.{name}: {source.message} has no signal {source.name!r}; it has {known}{why}"
-            )
+            names = [signal.name for signal in spec.signals]
+            why = _why(left_out, source.name) or near(source.name, names)
+            what = f"use.{name}: {source.message} has no signal {source.name!r}"
+            problems.append(f"{what}; it has {', '.join(names)}{why}")
             continue
         sources.setdefault(spec.index, []).append((name, source.name, source))
         of[name] = spec.index
         resolution[name] = abs(source.scale * (1e-3 if found.is_float else found.scale))
     unknown = set(signals.cycle_ms) - set(sends.values())
     problems += [
-        f"cycle_ms.{name}: {path.name} has no such message; remove it" for name in sorted(unknown)
+        f"cycle_ms.{name}: {path.name} has no such message; remove it{near(name, sends.values())}"
+        for name in sorted(unknown)
     ]
     kinds = given(signals)
     message_of = {str(name): source.message for name, source in signals.use.items()}

@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from dbc.text import InputError, TomlError, printable, read_bytes, read_toml, toml_text
+from dbc.text import InputError, TomlError, near, printable, read_bytes, read_toml, toml_text
 from dbc.toml_files import Strict, did_you_mean, lines_of, numbered
 from dbc.value_errors import wording
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
@@ -81,7 +81,7 @@ class Config(Strict):
             if drive.motor not in self.motors:
                 problems.append(
                     f"drive.{position}.motor: no [motor.{drive.motor}]; "
-                    f"known: {', '.join(sorted(self.motors))}"
+                    f"known: {', '.join(sorted(self.motors))}{near(drive.motor, self.motors)}"
                 )
         if self.adhesion.observe != "torque" and "paper_vb" not in self.adhesion.detector:
             problems.append(
@@ -222,8 +222,8 @@ def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
         path = ".".join(str(p) for p in loc)
         text = wording(item)
         if item["type"] == "extra_forbidden":
-            near = did_you_mean(Config, item["loc"])
-            text = f"unknown key{near or '; remove it or correct its name'}"
+            meant = did_you_mean(Config, item["loc"])
+            text = f"unknown key{meant or '; remove it or correct its name'}"
         for part in text.split("\n"):
             # A model's own message starts with a key, or concerns the model as a whole.
             joint = "." if _KEY.match(part) else ": "

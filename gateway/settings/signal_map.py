@@ -5,12 +5,12 @@ Signals that several drives share are written only once, as `[inverter.NAME]`.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
+from dbc.text import near
 from dbc.toml_files import Strict, within
 
 Quantity = Literal[
@@ -156,7 +156,4 @@ def share(raw: Mapping[str, Any]) -> tuple[dict[str, Any], dict[int, str], list[
 
 
 def _near_names(name: Any, inverters: Mapping[str, Any]) -> str:
-    near = difflib.get_close_matches(str(name), inverters, 1)
-    if near:
-        return f"; did you mean {near[0]!r}?"
-    return f"; known: {', '.join(inverters)}" if inverters else ""
+    return near(name, inverters) or (f"; known: {', '.join(inverters)}" if inverters else "")

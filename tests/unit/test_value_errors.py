@@ -38,7 +38,7 @@ class Whole(BaseModel):
         ({"count": 1.5}, "expected a whole number, got 1.5"),
         ({"count": 0}, "expected more than 0, got 0"),
         ({"count": 9}, "expected less than 9, got 9"),
-        ({"kind": "rial"}, "expected 'rail' or 'preset', got 'rial'"),
+        ({"kind": "rial"}, "expected 'rail' or 'preset', got 'rial'; did you mean 'rail'?"),
         ({"on": 5}, "expected true or false, got 5"),
         ({"title": True}, "expected text in quotes, got true"),
         ({"part": "x"}, "expected a table, got 'x': write [part], and its keys below"),

@@ -9,6 +9,7 @@ from typing import Final, Protocol
 
 from dbc.codec import Codec
 from dbc.frame import MS, Frame, Nanos
+from dbc.text import near
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
 from gateway.reports import known
@@ -166,7 +167,8 @@ class GatewayFlags:
         if flag in OF_THE_SET:
             drive = 0
         elif flag not in known.FLAGS:
-            msg = f"no flag {flag!r}: expected one of {', '.join((*known.FLAGS, *OF_THE_SET))}"
+            names = (*known.FLAGS, *OF_THE_SET)
+            msg = f"no flag {flag!r}: expected one of {', '.join(names)}{near(flag, names)}"
             raise ValueError(msg)
         elif drive not in self._bench.nodes:
             raise ValueError(f"drive {drive} is not one of {self._bench.nodes}: name one of them")
@@ -176,7 +178,7 @@ class GatewayFlags:
 def _checked(state: str, time_ms: float) -> Flag:
     """The state by its name. Raises ValueError, also for a time in which nothing can be seen."""
     if state not in WORDS:
-        msg = f"no state {state!r} of a flag: expected {', '.join(WORDS)}"
+        msg = f"no state {state!r} of a flag: expected {', '.join(WORDS)}{near(state, WORDS)}"
         raise ValueError(msg)
     if not 0.0 < time_ms < math.inf:
         msg = f"expected a time of more than 0 ms, got {time_ms:g}"
