@@ -135,6 +135,8 @@ def _signals(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
         if best is None:
             continue
         unit = best.signal.unit.strip() or f"the file has no unit: {UNITS[quantity]}?"
+        if best.electrical:
+            unit = "electrical: scale = 1 / pole pairs; correct it, then remove #"
         sign = "" if quantity in use else "# "
         lines.append(f"{sign}{quantity} = {_value(best)}    # {printed(unit)}")
         names = [g.name for g in guesses if _of_any_drive(g) not in taken]

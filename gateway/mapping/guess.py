@@ -21,8 +21,9 @@ _CONVERSIONS: Final[dict[str, dict[str, tuple[float, float]]]] = {
     "A": {"a": (1, 0), "amp": (1, 0), "amps": (1, 0), "ampere": (1, 0), "ma": (1e-3, 0),
           "apk": (1, 0), "arms": (1.4142, 0)},
     "V": {"v": (1, 0), "volt": (1, 0), "volts": (1, 0), "mv": (1e-3, 0), "vrms": (1.4142, 0)},
-    "rpm": {"rpm": (1, 0), "1/min": (1, 0), "min1": (1, 0), "u/min": (1, 0), "r/min": (1, 0),
-            "rad/s": (9.5493, 0), "rads/s": (9.5493, 0), "rps": (60, 0), "rev/s": (60, 0)},
+    "rpm": {"rpm": (1, 0), "erpm": (1, 0), "1/min": (1, 0), "min1": (1, 0), "u/min": (1, 0),
+            "r/min": (1, 0), "rad/s": (9.5493, 0), "rads/s": (9.5493, 0), "rps": (60, 0),
+            "rev/s": (60, 0)},
     "Nm": {"nm": (1, 0), "n*m": (1, 0), "mnm": (1e-3, 0), "knm": (1e3, 0)},
     "degC": {"c": (1, 0), "degc": (1, 0), "celsius": (1, 0), "k": (1, -273.15),
              "f": (0.55556, -17.778), "degf": (0.55556, -17.778)},
@@ -74,14 +75,15 @@ RULES: Final[dict[str, Rule]] = {
     "Ialpha": Rule(r"\bi ?alpha\b|\balpha current\b|\bcurrent alpha\b"),
     "Ibeta": Rule(r"\bi ?beta\b|\bbeta current\b|\bcurrent beta\b"),
     "Id": Rule(r"\bi ?d\b|\bd (axis )?current\b|\bcurrent d\b", r"actual|act|feedback|fb|meas"),
-    "Iq": Rule(r"\bi ?q\b|\bq (axis )?current\b|\bcurrent q\b", r"actual|act|feedback|fb|meas"),
+    "Iq": Rule(r"\bi ?q\b|\bq (axis )?current\b|\bcurrent q\b",
+               r"actual|act|feedback|fb|meas|measured"),
     "ElectricalAngle": Rule(r"\bangle\b|\btheta\b|\b(rotor|motor) position\b",
                             r"electrical|elec|el|rotor|motor"),
     "Ualpha": Rule(r"\b[uv] ?alpha\b|\balpha voltage\b|\bvoltage alpha\b"),
     "Ubeta": Rule(r"\b[uv] ?beta\b|\bbeta voltage\b|\bvoltage beta\b"),
     "Ud": Rule(r"\b[uv] ?d\b|\bd (axis )?voltage\b|\bvoltage d\b", r"actual|act|voltage"),
     "Uq": Rule(r"\b[uv] ?q\b|\bq (axis )?voltage\b|\bvoltage q\b", r"actual|act|voltage"),
-    "Speed": Rule(r"\bspeed\b|\brpm\b|\bvelocity\b|\bvel\b|\bomega\b|\bn act\b",
+    "Speed": Rule(r"\bspeed\b|\be?rpm\b|\bvelocity\b|\bvel\b|\bomega\b|\bn act\b",
                   r"motor|mot|mg|rotor|actual|act|feedback|fb|signed"),
     "Torque": Rule(r"\btorque\b|\btrq\b|\bmoment\b",
                    r"feedback|fb|actual|act|motor|mot|mg|effective|estimate|estimated|meas"),
@@ -103,6 +105,9 @@ RULES: Final[dict[str, Rule]] = {
 }  # fmt: skip
 UNITLESS: Final = 0.6
 """Score of a signal for which the file has no unit; a unit that fits adds to it."""
+_ELECTRICAL: Final = re.compile(r"\be ?rpm\b|\b(electrical|elec) (rpm|speed|velocity)\b")
+_PAIRS: Final = 4
+"""Pole pairs of the bench motor, until a person writes those of the own one."""
 SURE: Final = 0.9
 """From this score on, both name and unit fit."""
 _FORMS: Final = (("Ia", "Ib", "Ic"), *CURRENTS)
@@ -122,6 +127,12 @@ class Guess(NamedTuple):
     def name(self) -> str:
         """Message.Signal, as in `[drive.signals.use]`."""
         return f"{self.message.name}.{self.signal.name}"
+
+    @property
+    def electrical(self) -> bool:
+        """Whether it is a speed times pole pairs (ERPM)."""
+        text = words(f"{self.signal.name} {self.signal.unit}")
+        return self.quantity == "Speed" and bool(_ELECTRICAL.search(text))
 
     @property
     def sure(self) -> bool:
@@ -170,7 +181,10 @@ def _of_signal(spec: MessageSpec, signal: SignalSpec) -> Iterator[Guess]:
         score -= 0.1 * (named is None)
         if quantity == "ElectricalAngle" and not re.search(rf"\b({rule.likely})\b", all_words):
             score -= 0.2
-        yield Guess(quantity, spec, signal, *converted, score)
+        guess = Guess(quantity, spec, signal, *converted, score)
+        if guess.electrical:  # the file does not have the pole pairs
+            guess = guess._replace(scale=guess.scale / _PAIRS, score=min(score, UNITLESS))
+        yield guess
 
 
 def conversion(quantity: str, unit: str) -> tuple[float, float] | None:
@@ -191,7 +205,8 @@ def conversion(quantity: str, unit: str) -> tuple[float, float] | None:
 
 def chosen(found: dict[str, list[Guess]]) -> list[Guess]:
     """One signal for each quantity that has a guess: complete forms only, no signal twice."""
-    out = [*_form(found, _FORMS), *_form(found, VOLTAGES)]
+    currents = _form(found, _FORMS) or [guess for guess in found["Iq"][:1] if guess.sure]
+    out = [*currents, *_form(found, VOLTAGES)]
     used = {guess.name for guess in out}
     near = list(out)
     for quantity in ("ElectricalAngle", "Speed", "Torque", "TorqueCommand", "Irms", "Tstator",

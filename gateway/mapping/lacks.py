@@ -46,7 +46,7 @@ def thermal(signals: Signals) -> list[str]:
         text
         for text, there in (
             ("no temperature", use & set(CARRIES["Temperatures"])),
-            ("no RMS current", signals.phases or use & {"Irms", "Iq"}),
+            ("no RMS current", signals.phases or use & {"Irms", "Id"}),
             ("no measured speed", "Speed" in use),
             ("no torque", use & set(_TORQUES)),
             ("no ambient temperature", "Tambient" in use),

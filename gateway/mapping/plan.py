@@ -150,7 +150,7 @@ def given(signals: Signals) -> dict[str, tuple[str, ...]]:
     phases, voltages = signals.phases, signals.voltages
     torque = next((n for n in ("Torque", "Iq") if n in use), None)
     command = next((n for n in ("TorqueCommand", "Torque", "Iq") if n in use), None)
-    amount = ("Irms",) if "Irms" in use else phases or (("Id", "Iq") if "Iq" in use else ())
+    amount = ("Irms",) if "Irms" in use else phases or (("Id", "Iq") if "Id" in use else ())
     out = {
         "PhaseCurrents": phases,
         "StatorVoltages": voltages if phases else (),

@@ -92,7 +92,7 @@ class Signals(Strict):
             begun = [form for form in forms if any(name in self.use for name in form)]
             for form in begun:
                 missing = [name for name in form if name not in self.use]
-                if missing:
+                if missing and missing != ["Id"]:  # Iq alone is a torque
                     problems.append(f"{what} as {', '.join(form)}: {', '.join(missing)} missing")
             if len(begun) > 1:
                 problems.append(f"{what} in {len(begun)} forms; map only one form")

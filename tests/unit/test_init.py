@@ -8,6 +8,8 @@ import pytest
 
 from gateway.cli import main
 from gateway.mapping import guess
+from gateway.mapping.lacks import thermal
+from gateway.mapping.plan import given
 from gateway.settings.config import ConfigError, load, parse
 from sim.simulation import Simulation
 from tests.inverters import spoken, write_dbc
@@ -131,6 +133,30 @@ def test_a_signal_without_a_unit_is_proposed_in_a_comment_only(tmp_path, capsys,
     assert "Speed" not in load(tmp_path / "t.toml").drive[0].signals.use
     assert '# Speed = "Motor.MotorSpeed"' in (tmp_path / "t.toml").read_text()
     assert "Speed            may be Motor.MotorSpeed" in capsys.readouterr().out
+
+
+def test_iq_alone_is_the_torque_of_a_drive_that_sends_no_id(tmp_path, init):
+    """As ODrive does."""
+    init({"Get_Iq": (0x614, 10, ['Iq_Setpoint : 0|32@1- (0.01,0) [0|0] "A"',
+                                 'Iq_Measured : 32|32@1- (0.01,0) [0|0] "A"']),
+          "Get_Encoder_Estimates": (0x609, 10, ['Pos_Estimate : 0|32@1- (1,0) [0|0] "rev"',
+                                                'Vel_Estimate : 32|32@1- (0.1,0) [0|0] "rev/s"']),
+          })  # fmt: skip
+    signals = load(tmp_path / "t.toml").drive[0].signals
+    assert signals.use["Iq"].signal == "Get_Iq.Iq_Measured"
+    assert signals.use["Speed"].scale == 60.0
+    assert given(signals) == {"Motion": ("Speed", "Iq")}
+    assert "no RMS current" in "; ".join(thermal(signals))
+
+
+@pytest.mark.parametrize(("name", "unit"), [("ERPM", ""), ("Rpm", "ERPM"), ("eRPM", "rpm")])
+def test_an_electrical_speed_is_proposed_with_pole_pairs_to_fill_in(tmp_path, init, name, unit):
+    """As VESC does: used as it is, the speed would be that of the field."""
+    init({**MOTOR, "Motor": (0x601, 10, [f'{name} : 0|32@1- (1,0) [0|0] "{unit}"'])})
+    text = (tmp_path / "t.toml").read_text()
+    assert (
+        f'# Speed = {{ signal = "Motor.{name}", scale = 0.25 }}    # electrical: scale = 1' in text
+    )
 
 
 def test_the_blower_of_a_cabin_is_no_traction_motor(tmp_path, init):
