@@ -87,13 +87,14 @@ def run(options: argparse.Namespace) -> int:
 
     Exit 3 if expectations failed only where the machine could not keep up with the bus.
     """
-    from sim.scenario import ScenarioError, find
+    from sim.scenario import ScenarioError, builtin_names, find
 
     _refuse_unused(options)
     if options.slip_bench:
         return hil_slip.run(options)
     if not options.scenario:
-        raise ScenarioError("hil", ["no scenario: name one, such as `hil wet_one`"])
+        names = ", ".join(builtin_names())
+        raise ScenarioError("hil", [f"no scenario: name one, such as `hil wet_one`, or of {names}"])
     if any(hil_mutate.is_tests(name) for name in options.scenario):
         if options.mutate is None:
             cure = "run tests with `pytest`; `hil --mutate N` runs them with faulty gateways"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -112,7 +113,9 @@ def _shared(
     dbc: str, specs: Sequence[MessageSpec], of_log: Mapping[int, Cycle],
     chosen: Sequence[guess.Guess], drives: int, id_step: int | None,
 ) -> Shared:  # fmt: skip
+    from dbc.frame import MS
     from gateway.mapping import first_config, guess
+    from gateway.mapping.bus_fit import disagrees
 
     sure = [g.message for g in chosen if g.sure]
     used = {spec.key: guess.layout(spec) for spec in sure}
@@ -128,11 +131,11 @@ def _shared(
     if step is None:
         step, source = _free_step(set(used), drives), ""
     measured = {spec.name: of_log[spec.key] for spec in specs if spec.key in of_log}
-    cycles = {
-        spec.name: measured[spec.name].ms if spec.name in measured else None
-        for spec in specs
-        if not spec.cycle_ns
-    }
+    cycles = {}
+    for spec in specs:
+        ms = measured[spec.name].ms if spec.name in measured else None
+        if not spec.cycle_ns or (ms is not None and disagrees(ms, spec.cycle_ns / MS)):
+            cycles[spec.name] = ms
     name = re.sub(r"\W+", "_", Path(dbc).stem).strip("_").lower() or "inverter"
     return first_config.Shared(name, dbc, chosen, {}, cycles, measured, 0, step, source)
 
@@ -215,7 +218,7 @@ def _check(path: Path, more: Sequence[str]) -> int:
     parser = argparse.ArgumentParser()
     check.arguments(parser)
     check.more_arguments(parser)
-    again = f"run `traction-gateway check {path}`"
+    again = f"run `{shlex.join(['traction-gateway', 'check', str(path), *more])}`"
     try:
         problems = check.examine(parser.parse_args([str(path), "--no-timing", *more]))
     except ConfigError as error:

@@ -143,11 +143,16 @@ def _replay(options: argparse.Namespace, results: ExitStack) -> int:
     code = verdict_of_input(
         {"time_back": done.dropped, **faults(log.reader)}, done.frames - done.dropped
     )
-    known_code = _verdict_of_flags(done, flags, dict(options.expect_known))
+    from gateway.reports import cures
+
+    check = cures.check_of(options.config, options.log, options.line)
+    known_code = _verdict_of_flags(done, flags, dict(options.expect_known), check)
     return code or known_code
 
 
-def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[str, float]) -> int:
+def _verdict_of_flags(
+    done: Replayed, changes: Sequence[Change], wanted: dict[str, float], check: str
+) -> int:
     """Exit code for the time in which flags were known; print it, and on stderr what is short."""
     from gateway.core.codes import Reason
     from gateway.reports import cures
@@ -163,7 +168,7 @@ def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[st
             {Reason(getattr(v, f"{flag}_reason")) for node, v in views if node in nodes}
         )
         words = ", ".join(camel(reason.name) for reason in reasons)
-        how, cure = cures.cure(flag, reasons, gateway.config, nodes)
+        how, cure = cures.cure(flag, reasons, gateway.config, nodes, check)
         whose = known.drives(nodes, len(gateway.nodes))
         note(f"{how}: {flag}{whose} was never known ({words}), so nothing was flagged; {cure}")
     short = known.short_of(shares, wanted)

@@ -32,9 +32,9 @@ class Shared(NamedTuple):
     """What all drives with one message set of another maker have in common.
 
     dbc: path as written in the configuration. cycle_ms: by message, where the DBC has no cycle
-    time; None: the log shows none either. measured: what the log shows, by message. offset: of the
-    first drive's identifiers; step: distance to the next drive's identifiers; source: where the
-    step is from, empty for a guess.
+    time or the log another; None: the log shows none either. measured: what the log shows, by
+    message. offset: of the first drive's identifiers; step: distance to the next drive's
+    identifiers; source: where the step is from, empty for a guess.
     """
 
     name: str

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from gateway.core.codes import Reason
 from gateway.mapping import lacks
@@ -11,18 +13,25 @@ from gateway.settings.config import Config
 from gateway.settings.sections import FEWEST_COMPARED
 
 
+def check_of(config: Path | None, log: Path, line: str | None) -> str:
+    """The command that compares a configuration with a log, to be copied."""
+    words = ["traction-gateway", "check", str(config or "CONFIG"), "--log", str(log)]
+    return shlex.join(words + ([] if line is None else ["--line", line]))
+
+
 def cure(
-    flag: str, reasons: Sequence[Reason], config: Config, nodes: Sequence[int]
+    flag: str, reasons: Sequence[Reason], config: Config, nodes: Sequence[int], check: str = ""
 ) -> tuple[str, str]:
-    """For a flag of these drives that was never known: level of the message, and what to do."""
+    """For a flag of these drives that was never known: level of the message, and what to do.
+
+    check: command that compares the configuration with the log, see `check_of`.
+    """
     if flag == "thermal":
         return "note", _thermal_cure(reasons, config, nodes)
     if Reason.CONFIG in reasons:
-        return "warning", (
-            "a drive lacks signals for this flag: `traction-gateway check CONFIG` names them"
-        )
-    check = "wrong channel, DBC or motor? run `traction-gateway check CONFIG --log LOG`"
-    return "warning", f"{check}, or see {_explained(reasons)}"
+        return "warning", (f"a drive lacks signals for this flag: `{check}` names them")
+    wrong = f"wrong channel, DBC or motor? run `{check}`"
+    return "warning", f"{wrong}, or see {_explained(reasons)}"
 
 
 def _thermal_cure(reasons: Sequence[Reason], config: Config, nodes: Sequence[int]) -> str:

@@ -53,7 +53,7 @@ def test_what_is_not_understood_is_refused_with_a_cure(words, cure, refused):
 
 
 def test_hil_without_a_scenario_is_refused(refused):
-    assert "no scenario" in refused("hil")
+    assert "no scenario: name one, such as `hil wet_one`, or of bearing, " in refused("hil")
 
 
 def test_the_flags_of_a_device_on_the_bus_act_on_the_torque(monkeypatch):

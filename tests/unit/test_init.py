@@ -296,6 +296,9 @@ def test_a_log_says_cycles_and_identifiers(tmp_path, capsys, init):
     assert (first.id_offset, second.id_offset) == (0x10, 0x20)
     assert "drive 2        fits: phase currents add up" in said.out
     assert "DOES NOT FIT" not in said.out
+    slower = {n: (i, 30 if n == "Mot" else c, s) for n, (i, c, s) in messages.items()}
+    assert init(slower, *words, out="slower.toml") == 0, "the log corrects the DBC"
+    assert load(tmp_path / "slower.toml").drive[0].signals.cycle_ms == {"Mot": 10.0}
     with (tmp_path / "d.log").open("a") as file:
         file.write("(9.000000) can1 123#00\n")
     assert init(timeless, *words, out="two.toml") == 2

@@ -1,5 +1,7 @@
 """Where no flag is possible, the messages say why, and call nothing an error that is none."""
 
+from pathlib import Path
+
 import pytest
 
 from gateway.cli import main
@@ -45,10 +47,26 @@ def test_a_loss_not_found_with_a_motor_of_this_project_asks_for_its_own(tmp_path
 def test_what_does_not_fit_is_to_be_corrected(tmp_path, capsys):
     log = recorded(tmp_path / "d.log", [k / 50 for k in range(400)], [0x601])
     messages = {"Mot": (0x601, 100, SPEED["Mot"][2])}
-    assert init(tmp_path, messages, log) == 2
+    init(tmp_path, messages, log)
+    assert load(tmp_path / "t.toml").drive[0].signals.cycle_ms == {"Mot": 20.0}
+    capsys.readouterr()
+    config = tmp_path / "t.toml"
+    config.write_text(config.read_text().replace("Mot = 20", "Mot = 100"))
+    assert main(["check", str(config), "--log", log]) == 2
     err = capsys.readouterr().err
     assert "Mot every 20 ms, configured 100 ms: set cycle_ms = { Mot = 20 }" in err
-    assert "t.toml can be read; correct what does not fit, and run" in err
+
+
+def test_what_init_cannot_correct_is_to_be_corrected_and_the_command_can_be_copied(
+    tmp_path, capsys
+):
+    log = recorded(tmp_path / "d.log", [k / 50 for k in range(400)], [0x601])
+    short = Path(log).read_text().replace("#0100", "#01")
+    Path(log).write_text(short)
+    assert init(tmp_path, SPEED, log) == 2
+    err = capsys.readouterr().err
+    again = f"traction-gateway check {tmp_path / 't.toml'} --log {log}"
+    assert f"t.toml can be read; correct what does not fit, and run `{again}`" in err
 
 
 def test_a_configuration_that_is_refused_has_errors(tmp_path, capsys):
@@ -109,6 +127,15 @@ def test_the_cure_follows_the_reason(reasons, calibration, said):
     assert level == "note"
     assert cure.startswith(said)
     assert ("calibrate" in cure) == (calibration is None)
+
+
+@pytest.mark.parametrize("line", [None, "auto"])
+def test_the_command_that_compares_can_be_copied(tmp_path, capsys, line):
+    log, more = tmp_path / "my log.log", [] if line is None else ["--line", line]
+    log.write_text("(1.000000) can0 123#00\n" * 200)
+    main(["replay", str(log), *more])
+    pattern = f" --line {line}" if line else ""
+    assert f"check CONFIG --log '{log}'{pattern}`" in capsys.readouterr().err
 
 
 def test_config_is_explained_for_both_flags(capsys):
