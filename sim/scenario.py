@@ -210,7 +210,7 @@ class Scenario(Strict):
     drives: int = Field(3, ge=1, le=MAX_DRIVES, description="Number of simulated drives.")
     nodes: list[Node] = Field(
         default_factory=lambda known: list(range(1, known.get("drives", 0) + 1)),
-        max_length=MAX_DRIVES,
+        min_length=1,
         description="Their node numbers, which `drive` names; by default 1 to `drives`, or with "
         "`--config` the configuration's first ones.",
     )
@@ -237,7 +237,8 @@ class Scenario(Strict):
     @model_validator(mode="before")
     @classmethod
     def _count_nodes(cls, given: Any) -> Any:
-        if isinstance(given, Mapping) and isinstance(nodes := given.get("nodes"), list):
+        nodes = given.get("nodes") if isinstance(given, Mapping) else None
+        if isinstance(nodes, list) and 1 <= len(nodes) <= MAX_DRIVES:
             return {"drives": len(nodes), **given}
         return given
 

@@ -239,3 +239,19 @@ def test_random_scenarios_are_reproducible_and_cover_their_ranges():
 )
 def test_tables_that_make_no_sense_are_refused(extra, said):
     assert said in "\n".join(problems({**MINIMAL, "duration_s": 5, **extra}))
+
+
+@pytest.mark.parametrize(("table", "message"), [
+    ({"nodes": []}, "nodes: expected 1 or more entries"),
+    ({"nodes": [5, 5]}, "nodes: expected 2 different numbers"),
+    ({"nodes": [5, 7], "drives": 3}, "nodes: expected 3 different numbers"),
+    ({"nodes": [0]}, "nodes[0]: expected 1 to 16"),
+    ({"nodes": list(range(1, 18))}, "nodes[16]: expected 1 to 16"),
+    ({"nodes": 5}, "nodes: expected a list"),
+    ({"drives": "x"}, "drives: expected a whole number"),
+    ({"nodes": [5, 7], "load": {"curve": [{"drive": 1, "at_s": 0.0, "for_s": 0.5, "amount": 0.1}]}},
+     "load.curve[0].drive: 1 is not one of the nodes 5, 7"),
+])  # fmt: skip
+def test_nodes_that_make_no_sense_are_refused_in_one_line(table, message):
+    (line,) = problems({**MINIMAL, **table})
+    assert message in line
