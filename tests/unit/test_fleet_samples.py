@@ -27,7 +27,7 @@ class Plain:
         self.rows, self.next_ns, self.last_ns = [], None, None
         self.flags, self.peak = {}, {}
 
-    def add(self, view):
+    def add_view(self, view):
         self.last_ns = view.t_ns
         due = self.next_ns is None or view.t_ns >= self.next_ns
         if due:
