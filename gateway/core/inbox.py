@@ -18,7 +18,7 @@ from gateway.core import channel, inputs, receiving
 from gateway.core.channel import Channel
 from gateway.core.inputs import NONE
 from gateway.core.receiving import NAMES, Receiver
-from gateway.core.supervision import Supervision
+from gateway.core.supervision import EMCY_ID, HEARTBEAT_ID, Supervision
 
 ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
 SAMPLES = "Samples"
@@ -27,8 +27,6 @@ MAX_GAP_NS: Final[Nanos] = 200_000_000
 """After a longer time without a sample the filter restarts instead of predicting."""
 USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
-OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
-"""Heartbeat and emergency of node 32, the gateway."""
 
 
 class DriveInput:
@@ -72,7 +70,7 @@ class Inbox:
         self.drives = [DriveInput(node) for node in nodes]
         self.added: Counter[str] = Counter()
         """Frames that the receiver has not counted: emergencies, and those left out before it."""
-        own = {spec.key for spec in codec.own(creep=creep)} | OWN_CANOPEN
+        own = {spec.key for spec in codec.own(creep=creep)} | {HEARTBEAT_ID, EMCY_ID}
         self.channels: list[Channel] = []
         keys: dict[int, int] = {}
         for index, drive in enumerate(self.drives):

@@ -17,10 +17,13 @@ from _traction_core import ffi, lib
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
 from dbc.records import HEARTBEAT, SUPERVISION, Addressed
+from gateway.core.codes import NEVER
 
-NEVER: Nanos = -(1 << 63)
-HEARTBEAT_BASE = 0x700
-EMCY_BASE = 0x080
+HEARTBEAT_BASE: Final = 0x700
+EMCY_BASE: Final = 0x080
+GATEWAY_NODE: Final = 32
+HEARTBEAT_ID: Final = HEARTBEAT_BASE + GATEWAY_NODE
+EMCY_ID: Final = EMCY_BASE + GATEWAY_NODE
 TIMEOUT_PERIODS: Final[int] = lib.TIMEOUT_PERIODS
 """Consumer time-out in heartbeat periods."""
 EMCY_KEPT = 16

@@ -15,8 +15,8 @@ from typing import Final
 
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame, Nanos
 from dbc.frames import Block
-from gateway.core.supervision import HEARTBEAT_BASE
-from gateway.io.transport import EMCY_ID, HEARTBEAT_ID, NMT_ID
+from gateway.core.supervision import EMCY_ID, HEARTBEAT_BASE, HEARTBEAT_ID
+from gateway.io.transport import NMT_ID
 
 log = logging.getLogger(__name__)
 

@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dbc.e2e import Check, Receiver
 from dbc.frame import MS, Frame, Nanos
 from dbc.spec import MessageSpec
+from gateway.core.supervision import HEARTBEAT_ID
 from gateway.io.canopen_node import HEARTBEAT_NS
-from gateway.io.transport import HEARTBEAT_ID, SendResult
+from gateway.io.transport import SendResult
 
 _OUR_FAULT = (SendResult.REFUSED, SendResult.FAILED)
 MOST_LATE = 2

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
 from dbc.frames import Block
 from dbc.spec import EXTENDED_KEY
-from gateway.core.supervision import EMCY_BASE, HEARTBEAT_BASE
+from gateway.core.supervision import EMCY_ID, HEARTBEAT_ID
 from gateway.io.wire import BusState, bus_state
 from gateway.settings.config import ConfigError
 
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 RETRY_NS: Nanos = SECOND // 2
 """Pause between two attempts to open an interface that is not there."""
 
-GATEWAY_NODE = 32
-HEARTBEAT_ID = HEARTBEAT_BASE + GATEWAY_NODE
-EMCY_ID = EMCY_BASE + GATEWAY_NODE
 NMT_ID = 0x000
 
 

@@ -14,8 +14,7 @@ from dbc.e2e import COUNTERS, MAX_DELTA, Check, Receiver, SmState, counter_of, p
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from dbc.spec import Match, Profile
 from gateway.core.gateway import Gateway
-from gateway.core.inbox import OWN_CANOPEN
-from gateway.core.supervision import Supervision
+from gateway.core.supervision import EMCY_ID, HEARTBEAT_ID, Supervision
 from gateway.settings.config import parse
 from tests.reference.receive import COPIES, GUARD_NS, SECOND_SENDER, TOO_SOON
 from tests.sender import FD_FILE, codec_for
@@ -71,7 +70,7 @@ class Twin:
         self.receivers = {
             m.key: Receiver(m) for m in codec.messages if m.node in NODES and not m.is_gateway
         }
-        self.own = {m.key for m in codec.own(creep=False)} | OWN_CANOPEN
+        self.own = {m.key for m in codec.own(creep=False)} | {HEARTBEAT_ID, EMCY_ID}
         self.last = {}
         self.latest = {}
         self.copies = Counter()

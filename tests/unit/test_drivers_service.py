@@ -16,12 +16,13 @@ from dbc.codec import bind
 from dbc.frame import MS, SECOND
 from dbc.frames import EMPTY
 from gateway.core.gateway import Gateway
+from gateway.core.supervision import HEARTBEAT_ID
 from gateway.io.canopen_node import CanopenNode
 from gateway.io.live import Stop, run_live
 from gateway.io.outputs import MOST_LATE, Outputs
 from gateway.io.realtime import Ticker
 from gateway.io.service import FEEDS, Manager, Overseer
-from gateway.io.transport import HEARTBEAT_ID, LinkState, SendResult, Status
+from gateway.io.transport import LinkState, SendResult, Status
 from gateway.io.wire import BusState
 from gateway.settings.config import parse
 from tests.programs import await_state

@@ -24,7 +24,7 @@ from dbc.spec import EXTENDED_KEY, Match, MessageSpec
 from gateway.core.busload import BusLoad
 from gateway.core.codes import Health
 from gateway.core.gateway import HEARTBEAT_LIMIT_NS, Gateway
-from gateway.core.supervision import Supervision
+from gateway.core.supervision import GATEWAY_NODE, Supervision
 from gateway.core.view import GatewayView
 from gateway.io.wire import BusState, bus_state
 from gateway.monitor.model.incidents import ERROR as GRAVE
@@ -43,7 +43,6 @@ from gateway.monitor.model.traces import POINT_NS, Recent
 from gateway.monitor.model.tracks import Track
 from gateway.settings.config import Config
 
-GATEWAY_NODE: Final = 32
 QUIET_NS: Final[Nanos] = 10 * SECOND
 """Time after the last frame, after which no state changes any more."""
 MOST_HELD: Final = 20_000
