@@ -5,6 +5,7 @@ Fields are read by name, `state[c]["counter"]`; that file describes them and giv
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from functools import cache
 from typing import Any, Final
@@ -60,6 +61,12 @@ def pointer(ctype: str, array: NDArray[Any]) -> Any:
     Raises ValueError for an array that is not contiguous. The array has to outlive its use.
     """
     return ffi.from_buffer(f"{ctype}[]", array)
+
+
+def point_to(record: Records, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Put the arrays' addresses into the fields of these names. The arrays have to outlive it."""
+    for name, array in arrays.items():
+        record[name] = array.ctypes.data
 
 
 class Addressed:

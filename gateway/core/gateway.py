@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from dbc.frames import Block, block_of
-from dbc.records import GATEWAY, TX_FRAME, Addressed, Records, pointer
+from dbc.records import GATEWAY, TX_FRAME, Addressed, Records, point_to, pointer
 from gateway.core import inputs
 from gateway.core.adhesion import AdhesionMonitor
 from gateway.core.busload import BusLoad
@@ -136,7 +136,7 @@ class Gateway(Addressed):
 
     def link(self) -> None:
         """See `Addressed`."""
-        records: dict[str, NDArray[Any]] = {
+        point_to(self.record, {
             "receiver": self.inbox.receiver.record, "load": self.load.record,
             "integrity": self.integrity.record, "channels": self.inputs.channels,
             "inputs": self.inputs.status, "estimator": self.bank.record,
@@ -146,9 +146,7 @@ class Gateway(Addressed):
             "flag_inputs": self.flags.inputs, "evidence": self.flags.evidence,
             "status": self.status.drives, "train": self.status.train,
             "transmitter": self.outbox.record, "sent": self.sent, "peak": self.peak,
-        }  # fmt: skip
-        for name, array in records.items():
-            self.record[name] = array.ctypes.data
+        })  # fmt: skip
         self.pointer = ffi.from_buffer("struct gateway *", self.record)
         self.keep_ticks(ffi.NULL)
 

@@ -17,7 +17,7 @@ from _traction_core import ffi
 
 from dbc.arrays import Array
 from dbc.frame import SECOND, Nanos
-from dbc.records import MOTION, MOTION_MONITOR, PLAUSIBILITY, Addressed, Records
+from dbc.records import MOTION, MOTION_MONITOR, PLAUSIBILITY, Addressed, Records, point_to
 from gateway.core.channel import SAMPLE_NS
 from gateway.core.estimate import Bank
 from gateway.core.inputs import InputMonitor
@@ -93,15 +93,13 @@ class MotionMonitor(Addressed):
 
     def link(self) -> None:
         """See `Addressed`."""
-        arrays = {
+        point_to(self.record, {
             "receiver": self.receiver.record, "inputs": self.inputs.status,
             "estimates": self.bank.estimates, "filters": self.bank.filters,
             "chords": self.bank.chords, "sensors": self.bank.sensors, "rotors": self.rotors,
             "motions": self.motions, "checks": self.checks, "others": self.others,
             "noted": self.noted, "taken": self.taken,
-        }  # fmt: skip
-        for name, array in arrays.items():
-            self.record[name] = array.ctypes.data
+        })  # fmt: skip
         self.pointer = ffi.from_buffer("struct motion_monitor *", self.record)
 
 

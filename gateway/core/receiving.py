@@ -14,7 +14,7 @@ from dbc.arrays import Ints
 from dbc.codec import Codec
 from dbc.frame import Nanos
 from dbc.frames import MAX_DATA_BYTES
-from dbc.records import DRIVE_INPUT, ID_ENTRY, RECEIVER, Addressed, Records
+from dbc.records import DRIVE_INPUT, ID_ENTRY, RECEIVER, Addressed, Records, point_to
 from gateway.core.supervision import Supervision
 
 
@@ -101,8 +101,7 @@ class Receiver(Addressed):
     def link(self) -> None:
         """Put addresses into the record, and take views of its columns."""
         held = {"channels": self.channels, "drives": self.drives, "ids": self.ids}
-        for name, array in (self.space | held).items():
-            self.record[name] = array.ctypes.data
+        point_to(self.record, self.space | held)
         self.record["codec"] = self.codec.tables.address
         self.record["supervision"] = self.supervision.address
         for name, array in held.items():

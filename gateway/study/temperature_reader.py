@@ -16,7 +16,7 @@ from dbc.arrays import Array, Flags, Ints
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
 from dbc.frames import Block, block_of
-from dbc.records import TEMPERATURE_LOG, Addressed, pointer
+from dbc.records import TEMPERATURE_LOG, Addressed, point_to, pointer
 from gateway.core.gateway import Gateway
 from gateway.core.thermal import TemperatureMonitor
 from gateway.settings.calibration import POINTS
@@ -59,8 +59,7 @@ class CycleLog(Addressed):
 
     def link(self) -> None:
         """Set the addresses of the columns, see `Addressed`."""
-        for name, column in self._columns._asdict().items():
-            self.record[name] = column.ctypes.data
+        point_to(self.record, self._columns._asdict())
         self.pointer: Any = ffi.from_buffer("struct temperature_log *", self.record)
 
     @property
