@@ -216,6 +216,11 @@ class IntegrityMonitor(gateway.core.integrity.IntegrityMonitor):
         """Whether nothing is sent in this tick: not in the one that finds an intruder."""
         return bool(self.pointer.mute)
 
+    @property
+    def reason(self):
+        """Why no adhesion flag is valid in this tick; NONE if there is no such reason."""
+        return Reason(lib.integrity_reason(self.pointer))
+
 
 class Flags(gateway.core.flags.Flags):
     """From what is found to flags, in three steps."""

@@ -14,7 +14,7 @@ from _traction_core import ffi, lib
 
 from dbc.frame import SECOND, Nanos
 from dbc.records import INTEGRITY, Addressed
-from gateway.core.codes import NEVER, Reason
+from gateway.core.codes import NEVER
 
 OVERRUN_HOLD_NS: Final[Nanos] = SECOND
 """Time for which an overrun is reported."""
@@ -95,8 +95,3 @@ class IntegrityMonitor(Addressed):
     def overrun(self) -> bool:
         """Whether ticks were missed within the last `OVERRUN_HOLD_NS`."""
         return bool(lib.is_overrun(self.pointer))
-
-    @property
-    def reason(self) -> Reason:
-        """Why no adhesion flag is valid in this tick; NONE if there is no such reason."""
-        return Reason(lib.integrity_reason(self.pointer))

@@ -20,8 +20,6 @@ from gateway.settings.config import Config, ConfigError
 
 FOLDER: Final = "estimates"
 """Folder of the logs' result files, in the folder for results."""
-KEYS: Final = ("day", "train")
-"""Keys to partition the files by: UTC day of the first frame, name of the log's folder."""
 _EDGE: Final = 1 << 20
 _STEM: Final = 60
 
@@ -29,8 +27,8 @@ _STEM: Final = 60
 class Settings(NamedTuple):
     """Settings common to all logs. key: hash of all that a result depends on, except the log.
 
-    folder: for results, absolute, as other processes get these settings. parts: those of `KEYS`
-    that give folders between `estimates` and a log's file.
+    folder: for results, absolute, as other processes get these settings. parts: the keys of
+    `file_of` that give folders between `estimates` and a log's file.
     """
 
     config: Config
@@ -123,7 +121,10 @@ def shown(path: Path) -> str:
 
 
 def file_of(one: Job, settings: Settings, first_ns: int) -> str:
-    """Path of a log's file in the results, with a folder `key=value` per `settings.parts`."""
+    """Path of a log's file in the results, with a folder `key=value` per `settings.parts`.
+
+    day: UTC day of the first frame. train: name of the log's folder.
+    """
     day = datetime.fromtimestamp(first_ns // 10**9, UTC).date().isoformat()
     train = shown(one.path.parent).rstrip("/").rpartition("/")[2]
     values = {"day": day, "train": quote(train, safe="") or "none"}

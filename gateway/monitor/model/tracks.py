@@ -71,7 +71,7 @@ class Track:
     """One message: its last accepted frame, and the reasons why others are rejected."""
 
     __slots__ = (
-        "_codec", "_guard", "_latest", "_receiver", "_seen", "data", "good_ns", "limit_ns", "lost",
+        "_codec", "_guard", "_latest", "_receiver", "_seen", "data", "good_ns", "limit_ns",
         "received_ns", "rejected", "spec",
     )  # fmt: skip
 
