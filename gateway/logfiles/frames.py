@@ -127,7 +127,7 @@ class ParquetRows(Sink):
 
 
 class ParquetFrames(ParquetRows):
-    """Parquet with a row per frame, lossless: `read_parquet` returns the same frames."""
+    """Parquet with a row per frame, lossless: `ParquetReader` returns the same frames."""
 
     def __init__(self, path: Path) -> None:
         import pyarrow as pa
@@ -165,28 +165,24 @@ class ParquetReader(ObjectReader):
     unit = "rows"
 
     def frames(self) -> Iterator[Frame]:
-        """See `read_parquet`."""
-        return read_parquet(self.path)
+        """All frames, in their order."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
 
+        from dbc.candump.reader import LogError
 
-def read_parquet(path: Path) -> Iterator[Frame]:
-    """Frames of a file that `ParquetFrames` wrote. Raises LogError for any other."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from dbc.candump.reader import LogError
-
-    try:
-        with pq.ParquetFile(path) as file:
-            missing = {"time", "channel", "id", "dlc", "data", *FLAGS} - _ADDED
-            missing -= set(file.schema_arrow.names)
-            if missing:
-                what = "holds no frames (write them with `convert --frames`); no column "
-                raise LogError(str(path), 0, what + ", ".join(sorted(missing)))
-            for batch in file.iter_batches(1 << 13):
-                yield from _frames(batch)
-    except pa.ArrowException as error:
-        raise LogError(str(path), 0, f"cannot be read: {' '.join(str(error).split())}") from error
+        try:
+            with pq.ParquetFile(self.path) as file:
+                missing = {"time", "channel", "id", "dlc", "data", *FLAGS} - _ADDED
+                missing -= set(file.schema_arrow.names)
+                if missing:
+                    what = "holds no frames (write them with `convert --frames`); no column "
+                    raise LogError(str(self.path), 0, what + ", ".join(sorted(missing)))
+                for batch in file.iter_batches(1 << 13):
+                    yield from _frames(batch)
+        except pa.ArrowException as error:
+            text = f"cannot be read: {' '.join(str(error).split())}"
+            raise LogError(str(self.path), 0, text) from error
 
 
 def _frames(batch: Any) -> Iterator[Frame]:

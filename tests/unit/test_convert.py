@@ -25,7 +25,7 @@ from dbc.spec import Validity
 from gateway import cli
 from gateway.io import extras
 from gateway.io.log_file import open_log
-from gateway.logfiles.frames import ParquetFrames, read_parquet
+from gateway.logfiles.frames import ParquetFrames, ParquetReader
 from gateway.logfiles.signals import Decoder
 
 DBC = Path(__file__).parents[2] / "dbc" / "traction.dbc"
@@ -136,7 +136,7 @@ def test_parquet_frames_are_exact_to_the_nanosecond(tmp_path):
     frames = [f._replace(t_ns=f.t_ns + k) for k, f in enumerate(KINDS)]
     frames.append(Frame(-7, 0x1FFF_FFFF, b"\xff", EXTENDED, "a name"))
     frames.append(Frame(2**62, 1, b"\1" * 8, 0, "", 15))
-    assert list(read_parquet(parquet_of(tmp_path / "x.parquet", frames))) == frames
+    assert list(ParquetReader(parquet_of(tmp_path / "x.parquet", frames)).frames()) == frames
 
 
 # ---- signals -----------------------------------------------------------------------------------
