@@ -253,7 +253,7 @@ static void note_emergency(struct receiver *receiver, const struct frame *frame)
     const int32_t k =
         receiver->supervision->row[(frame->can_id - EMERGENCY_BASE) % HEARTBEAT_NODES];
     const int plain = frame->length == EMERGENCY_BYTES && !(frame->flags & FRAME_FD);
-    if (!plain || (frame->data[0] | frame->data[1]) == 0 || k < 0 || k >= receiver->drive_count)
+    if (!plain || (frame->data[0] | frame->data[1]) == 0)
         return;
     int64_t *last_ns = &receiver->drives[k].emergency_ns;
     if (*last_ns < 0 || elapsed(*last_ns, frame->t_ns) >= EMERGENCIES_NS)
