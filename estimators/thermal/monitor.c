@@ -363,8 +363,11 @@ void thermal_monitor_close_block(struct thermal_monitor *all)
 static void kinds_of(const struct thermal_motor *motor, double *kind)
 {
     double total = 0.0;
-    for (int c = 0; c < THERMAL_KINDS; c++)
-        kind[c] = motor->kind[c];
+    int stepped = 0;
+    for (int q = 0; q < P; q++)
+        stepped |= motor->step[q].offset_k != 0.0;
+    for (int c = 0; c < THERMAL_KINDS; c++) /* beside a step, what is not reported is no doubt */
+        kind[c] = stepped && !motor->held ? 0.0 : motor->kind[c];
     for (int q = 0; q < P; q++)
         if (motor->step[q].offset_k != 0.0)
             kind[IMM_HEATS + q] = SURE;

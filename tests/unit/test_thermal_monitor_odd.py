@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal, norm
 from dbc import records
 from dbc.records import pointer
 from estimators.thermal import model, monitor
+from estimators.thermal.hypotheses import side
 from estimators.thermal.monitor import BENIGN_K, SHOWN_K, Known, ThermalMonitor
 from tests import thermal_core as imm
 
@@ -392,6 +393,20 @@ def test_behind_the_kinds_of_the_last_motor_nothing_is_written():
     lib.thermal_kinds(pointer("struct thermal_motor", one.motors), 1, pointer("double", kind))
     assert kind[:11].sum() == pytest.approx(1.0 - 1e-6)
     assert kind[11] == 7.0
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_beside_a_step_a_fault_counts_only_if_it_is_reported(held):
+    """A sensor that has stepped is named: that heat is hardly likely makes nobody doubt it."""
+    one = train(1)
+    one.motors["kind"][:, 2], one.motors["held"] = 0.6 if held else 0.02, held
+    before = one.kinds()[0][0]
+    assert before[2] == pytest.approx(0.6 if held else 0.02)
+    one.motors["step"]["offset_k"] = [[0.0, 3.0, 0.0]]
+    kind = one.kinds()[0][0]
+    assert (kind[2] > 0.3) == held
+    assert kind[6] > (0.6 if held else 0.999)
+    assert side(kind) == (0 if held else -1)
 
 
 def test_a_sensor_that_begins_within_a_burst_is_not_believed_to_step_or_burst():
