@@ -229,3 +229,39 @@ def test_what_lies_behind_the_drives_is_left_alone():
     assert (rotors[2].tobytes(), given[2].tobytes()) == before
     assert rotors["odd"].tolist() == [1, 1, 0]
     assert given["command_valid"].tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize(("flags", "steady", "expected"), [
+    ([Flag.GOOD, Flag.BAD], False, [0, 1]),
+    ([Flag.BAD, Flag.GOOD], False, [1, 0]),
+    ([Flag.UNKNOWN, Flag.BAD], False, [0, 0]),
+    ([Flag.BAD, Flag.BAD], False, [0, 0]),
+    ([Flag.BAD, Flag.BAD], True, [1, 1]),
+])  # fmt: skip
+def test_a_flag_is_withdrawn_beside_a_wheel_that_adheres_or_at_constant_speed(
+    flags, steady, expected
+):
+    """Of two drives that are off; in the room behind them one adheres."""
+    rotors, given = started(reference.start([BENCH_MOTOR] * 3)), np.zeros(3, ROTOR_INPUTS)
+    given["measured_rad_s"] = given["speed_rad_s"] = 20.0
+    given["health"], given["adhesion"] = Health.TRACKING, [*flags, Flag.GOOD]
+    rotors["followed_s"], rotors["slow_speed"] = 1.0, 20.0 if steady else 30.0
+    rotors["near_s"] = 1.0
+    lib.assess_train(
+        pointer("struct rotor", rotors), pointer("struct rotor_inputs", given), 2, 0, TICK_S,
+        pointer("double", np.zeros(4)),
+    )  # fmt: skip
+    assert given["withdrawn"].tolist() == [*expected, 0]
+    assert given["not_judged"].tolist() == [1, 1, 0]
+
+
+def test_a_load_that_is_no_evidence_leaves_a_loss_undecided():
+    rotor, given = started(reference.start([BENCH_MOTOR])), np.zeros(1, ROTOR_INPUTS)
+    pointers = pointer("struct rotor", rotor), pointer("struct rotor_inputs", given)
+    assert lib.limit_loss(*pointers, 0.9, 0) == 0.9
+    assert rotor["uncertain"][0] == 0
+    given["may_be_off"] = 1
+    assert lib.limit_loss(*pointers, lib.UNDECIDED, 0) == lib.UNDECIDED
+    assert rotor["uncertain"][0] == 0
+    assert lib.limit_loss(*pointers, 0.9, 0) == lib.UNDECIDED
+    assert rotor["uncertain"][0] == 1
