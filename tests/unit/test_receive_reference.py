@@ -458,6 +458,24 @@ def test_an_emergency_is_left_to_python():
     assert box.supervision.emcy[1].received == 1
 
 
+def test_the_first_emergency_of_a_second_that_reports_an_error_is_noted():
+    box, plain = both(codec_for(NODES))
+    error, high, low = b"\x10\x23" + bytes(6), b"\0\x10" + bytes(6), b"\x10" + bytes(7)
+    given = [
+        (2, bytes(8), 0), (4, error[:7], 0), (6, error, FD), (8, high, 0), (500, error, 0),
+        (1007, error, 0), (1008, low, 0), (1900, error, 0), (2008, error, 0), (2009, error, 0),
+    ]  # fmt: skip
+    noted = []
+    for at_ms, data, flags in given:
+        frames = [Frame(at_ms * MS, 0x082, data, flags)]
+        box.take(frames, at_ms * MS)
+        plain.take(frames, at_ms * MS)
+        assert_same(box, plain)
+        noted.append(int(box.receiver.drives["emergency_ns"][1]) // MS)
+    assert noted == [-1, -1, -1, 8, 8, 8, 1008, 1008, 2008, 2008]
+    assert box.receiver.drives["emergency_ns"][[0, 2]].tolist() == [-1, -1]
+
+
 @pytest.mark.parametrize(
     ("fields", "reason"),
     [

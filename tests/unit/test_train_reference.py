@@ -171,6 +171,25 @@ def test_any_course_of_a_train(seed, n, ticks, step):
         assert sum(states == {0, 1} for states in met.values()) > 5, met
 
 
+def test_drives_that_are_off_keep_their_flags_until_their_speed_is_constant():
+    """Two that turn alike while they speed up: nothing shows that either of them adheres."""
+    plain = reference.start([BENCH_MOTOR] * 2)
+    rotors = started(plain)
+    flag, speed, withdrawn = np.array([Flag.BAD] * 2), 25.0, []
+    for now in range(800):
+        speed += 12.0 * TICK_S if now < 200 else 0.0
+        told, slow = columns.told(2), columns.slow(2)
+        told.health[:], told.speed[:], told.load[:] = Health.TRACKING, speed, 0.0
+        slow.operating[:] = False
+        given = np.full(2, speed), np.ones(2, dtype=bool), slow, flag, told
+        again = copied(given)
+        withdrawn.append(assess_train(*again[:4], now, again[4], rotors))
+        wanted = reference.assess_train(*given[:4], now, TICK_S, told, plain)
+        assert withdrawn[-1] == wanted
+    assert withdrawn[100:200] == [[0, 0]] * 100
+    assert withdrawn[-1] == [1, 1]
+
+
 LIMITS = (0.0, 0.05, 0.1, 0.12, 0.2, 0.25, 0.27, 0.3, 0.35, 0.375, 0.5, 1.0, 1.25, 1.27, 2.1, 3.0)
 """Per unit: what loads and commands are compared with, and sums of it."""
 
