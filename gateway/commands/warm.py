@@ -11,7 +11,7 @@ from gateway.commands.common import GOOD
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb as they were; none has an effect."""
     parser.add_argument("config", type=Path, nargs="*", metavar="CONFIG", help="without effect")
-    parser.add_argument("-o", type=Path, dest="folder", metavar="DIR", help="without effect")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="without effect")
 
 
 def run(_options: argparse.Namespace) -> int:
