@@ -44,6 +44,8 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_est_adaptation.py",
        "tests/unit/test_est_current_calibration.py",
        "tests/unit/test_train_reference.py::test_any_course_of_a_train[0-16-800-0.5]",
+       "tests/unit/test_train_reference.py::"
+       "test_drives_that_are_off_keep_their_flags_until_their_speed_is_constant",
        "tests/unit/test_creep.py",
        "tests/unit/test_slip_bench.py::test_no_wheel_locks_or_slides_as_adhering_where_all_slide_at_once",
        "tests/unit/test_adhesion_reference.py", "tests/unit/test_switching.py",
