@@ -136,15 +136,21 @@ def test_a_command_of_the_wrong_sign_is_invalid_input_and_no_loss(drives):
 
 
 def test_a_drive_cut_out_while_it_is_lost_keeps_its_flag_and_stops_nobody_from_learning():
-    """The contract: unknown never clears bad. Diameters of the others are learnt meanwhile."""
+    """Until its wheel turns with the others: unknown never clears bad. Their diameters are learnt.
+
+    The rail is good again at 3 s, the drive is cut out from 2 to 4 s.
+    """
     frames = with_status(recorded(0.6, 3, lost=True), state=0)
     core = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec((1, 2, 3)), 0)
     learnt = []
     for k, tick in enumerate(frames, 1):
         core.step(tick, k * TICK)
         learnt.append(core.adhesion.rotors["learnt_s"].tolist())
-        if 220 <= k < 400:
+        if 220 <= k < 300:
             assert core.view.drives[0].adhesion is Flag.BAD
+        elif 310 <= k < 400:
+            assert core.view.drives[0].adhesion is Flag.UNKNOWN
+            assert core.view.drives[0].adhesion_reason is Reason.NOT_AVAILABLE
     assert core.view.drives[0].adhesion is Flag.GOOD, "and it clears when the drive is back"
     for other in (1, 2):
         assert learnt[390][other] > learnt[220][other] + 1.0

@@ -53,7 +53,8 @@ def test_where_nothing_was_known_nothing_is_good(capsys, foreign, tmp_path):
     assert code == 0
     assert "known: adhesion 0.0 %; thermal 0.0 % of the time" in out
     assert "warning: adhesion was never known (Starting), so nothing was flagged; wrong" in err
-    assert "--log LOG`, or see `traction-gateway explain Starting`" in err
+    assert "run `traction-gateway check CONFIG --log " in err
+    assert f"{foreign}`, or see `traction-gateway explain Starting`" in err
     assert "traction-gateway calibrate" in err
     head = (tmp_path / "report.md").read_text().splitlines()[2]
     assert head.startswith("> **Adhesion was never known: there is no result. Thermal")

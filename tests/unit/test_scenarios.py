@@ -61,7 +61,7 @@ def test_a_wheel_that_slides_is_not_called_good_for_200_ms(name):
             longest[drive.node] = max(beyond, longest.get(drive.node, 0))
 
     config, codec = prepare(None, thermal=scenario_thermal())
-    left = SimpleNamespace(begin=lambda _gateway: None, add_truth=really, add=lambda: None)
+    left = SimpleNamespace(begin=lambda _gateway: None, add_truth=really, add_tick=lambda: None)
     run_virtual(builtin(name), config, codec, [watch], left=left)
     assert len(longest) == 3
     assert max(longest.values()) <= 200, longest
