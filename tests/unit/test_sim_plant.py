@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,7 +64,9 @@ def dq_rates(_t, y, u_a, u_b, m, load):
     ]
 
 
-@pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
+@pytest.mark.parametrize(
+    "motor", [*MOTORS.values(), replace(BENCH, B=0.2)], ids=[*MOTORS, "friction"]
+)
 @pytest.mark.parametrize("w_m", [-60.0, 5.0, 62.0])
 def test_drive_agrees_with_scipy_in_dq(motor, w_m):
     rng = np.random.default_rng(3)
