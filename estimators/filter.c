@@ -5,9 +5,21 @@
 
 enum { FEW = 4 }; /* drives that 256 bits hold: for so few, wider registers are slower */
 
+int filter_registers_are_readable(uint32_t ecx)
+{
+    return (ecx >> 27) & 1; /* OSXSAVE */
+}
+
+int filter_widest(uint32_t ebx, uint32_t saved)
+{
+    const uint32_t avx2 = 0x20, avx512 = 0x80030000; /* AVX-512 F, DQ and VL */
+    const int has_avx2 = ((ebx & avx2) == avx2) * ((saved & 0x06u) == 0x06u);
+    const int has_avx512 = ((ebx & avx512) == avx512) * ((saved & 0xE6u) == 0xE6u);
+    return has_avx2 + has_avx2 * has_avx512;
+}
+
 #if defined(__x86_64__)
 #include <cpuid.h>
-#include <stdint.h>
 
 static filter_run_function *const BUILDS[] = {filter_run_128, filter_run_256, filter_run_512};
 
@@ -25,15 +37,10 @@ static int find_widest(void)
 {
     uint32_t a, b, c, d;
     __cpuid(1, a, b, c, d);
-    const uint32_t osxsave = 1u << 27;
-    if (!(c & osxsave)) /* another processor */
+    if (!filter_registers_are_readable(c)) /* another processor */
         return 0;
-    const uint32_t saved = saved_registers();
     __cpuid_count(7, 0, a, b, c, d);
-    const uint32_t avx2 = 1u << 5, avx512 = 1u << 16 | 1u << 17 | 1u << 31; /* F, DQ and VL */
-    const int has_avx2 = ((b & avx2) == avx2) * ((saved & 0x06u) == 0x06u);
-    const int has_avx512 = ((b & avx512) == avx512) * ((saved & 0xE6u) == 0xE6u);
-    return has_avx2 + has_avx2 * has_avx512;
+    return filter_widest(b, saved_registers());
 }
 
 static int widest;

@@ -17,6 +17,11 @@ int filter_run_with(int bits, struct filter_sample *samples, int m, const struct
                     const struct filter_noise *noise, struct filter *filters, int n,
                     const struct filter_settings *settings);
 
+/* Of an x86-64 processor: 1 if XCR0, the registers that the system saves, can be read; ecx: of CPUID
+ * leaf 1. And which registers its filters use, 0: 128, 1: 256, 2: 512 bits; ebx: of CPUID leaf 7. */
+int filter_registers_are_readable(uint32_t ecx);
+int filter_widest(uint32_t ebx, uint32_t saved);
+
 /* Remove the filter of this drive; it has to be acquired anew. `v_q_bias` stays. */
 void filter_reset(struct filter *filter);
 

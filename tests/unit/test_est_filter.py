@@ -1,6 +1,7 @@
 """The filters equal the reference with any registers, and what they do with bad samples."""
 
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -216,6 +217,27 @@ def test_registers_that_the_processor_has_are_used_and_others_are_refused(bits):
     else:
         with pytest.raises(ValueError, match=f"{bits} bits"):
             sweep("ekf", case(ticks=32), bits=bits)
+
+
+def subsets(bits):
+    """All sums of these bits, of which each counts once."""
+    return [sum(1 << bit for bit in some) for n in range(len(bits) + 1)
+            for some in combinations(bits, n)]  # fmt: skip
+
+
+def test_registers_are_used_that_processor_and_system_both_have():
+    """By Intel's manual: CPUID leaf 7, EBX bit 5 AVX2, 16, 17 and 31 AVX-512 F, DQ and VL; XCR0
+    bits 1 and 2 the registers of AVX, 5 to 7 those of AVX-512. Bits beside them say nothing."""
+    for ebx in subsets((4, 5, 6, 15, 16, 17, 18, 30, 31)):
+        for saved in subsets((0, 1, 2, 3, 4, 5, 6, 7)):
+            avx2 = ebx >> 5 & 1 and saved >> 1 & 3 == 3
+            avx512 = ebx >> 16 & 3 == 3 and ebx >> 31 and saved >> 5 & 7 == 7
+            assert lib.filter_widest(ebx, saved) == bool(avx2) + bool(avx2 and avx512)
+
+
+def test_what_the_system_saves_can_be_read_where_osxsave_says_so():
+    for ecx in subsets((0, 26, 27, 28, 31)):
+        assert lib.filter_registers_are_readable(ecx) == ecx >> 27 & 1
 
 
 def test_a_filter_that_is_reset_knows_nothing():
