@@ -99,13 +99,13 @@ static int is_odd_command(const struct train_tick *t, int k)
     return r->odd_s > ODD_S || own > MOST_COMMAND;
 }
 
-/* 1 if a drive that is off rolls: its wheel turns with the others, one of which adheres, or at
+/* 1 if a flagged drive that is off rolls: its wheel turns with the others, one of which adheres, or at
  * constant speed. */
 static int rolls_along(const struct train_tick *t, int k)
 {
     int rolls = is_steady(&t->rotor[k]);
     for (int i = 0; i < t->n; i++)
-        rolls = rolls || (i != k && t->in[i].adhesion == FLAG_GOOD);
+        rolls = rolls || t->in[i].adhesion == FLAG_GOOD;
     return rolls && turns_along(&t->rotor[k]);
 }
 

@@ -33,6 +33,7 @@ ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
 E2E = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
 CANDUMP = ("tests/unit/test_dbc_candump.py", "tests/property/test_dbc_candump_property.py")
+CANDUMP_READ = ("tests/unit/test_candump_read.py", *CANDUMP)
 CODEC = ("tests/unit/test_codec_reference.py",)
 RESPONSE = ("tests/unit/test_response_reference.py", "tests/unit/test_detect_learning.py")
 MONITOR = (
@@ -149,7 +150,7 @@ TESTS = {
     "gateway/core/creep.c": ("tests/unit/test_creep.py",),
     "sim/physics/plant.c": ("tests/unit/test_sim_plant.py", "tests/unit/test_sim_adhesion.py"),
     "sim/physics/thermal.c": ("tests/unit/test_sim_thermal.py",),
-    **dict.fromkeys(("dbc/candump_read.c", "dbc/candump_write.c"), CANDUMP),
+    "dbc/candump_read.c": CANDUMP_READ, "dbc/candump_write.c": CANDUMP,
     "dbc/text_read.c": ("tests/unit/test_text_read.py",),
     "gateway/core/loads.c": tuple(f"tests/unit/test_adhesion_reference.py::{name}" for name in (
         "test_numbers_on_limits", "test_what_lies_behind_the_drives_is_left_alone", "test_anything",
