@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from dbc.records import ROTOR, zeros
+from dbc.records import FILTER_NOISE, ROTOR, zeros
 from estimators import filters
 from gateway.core import inputs
 from gateway.core.channel import RPM
@@ -26,9 +26,11 @@ class Drives(MotionMonitor):
         self.came = Received(n)
         self.status = inputs.statuses(n)
         estimates = fresh_estimates(n)
+        noise = zeros(n, FILTER_NOISE)
+        noise["R"] = 0.01
         bank = SimpleNamespace(
-            estimates=estimates, filters=filters.unstarted(n), chords=acquisition.start(n),
-            sensors=current_calibration.start(n),
+            noise=noise, estimates=estimates, filters=filters.unstarted(n),
+            chords=acquisition.start(n), sensors=current_calibration.start(n),
         )  # fmt: skip
         rotors = zeros(n, ROTOR)
         rotors["unreliable_until_ns"] = NEVER

@@ -21,8 +21,13 @@
 #define HALF_TURN 3.14159265358979323846     /* rad */
 static const int64_t LATE_NS = 1000 * MS_NS; /* as HELD_NS, after one late sample */
 static const int64_t REPEATS = 2;            /* consecutive repeats: more than one late sample */
-#define LEAST_CURRENT 0.15                   /* per unit of rated; with less current */
-#define LEAST_TORQUE  0.1 /* and less torque, torque and angle are not compared */
+/* Noise can make two samples equal: what is a repeat should have changed by NOISE_SIGMAS standard
+ * deviations of their difference, as the filter has learnt its noise; at most by NOISE_MOST, per unit
+ * of rated current, because what a converter holds is noise to the filter, too. */
+#define NOISE_SIGMAS  6.0
+#define NOISE_MOST    0.05
+#define LEAST_CURRENT 0.15 /* per unit of rated; with less current */
+#define LEAST_TORQUE  0.1  /* and less torque, torque and angle are not compared */
 /* Largest difference of two torques, per unit of rated torque and of the sent one: magnets may be a
  * fifth off the data sheet. Above the deviation, currents are no evidence of a loss. */
 #define TORQUE_OFF                0.15
@@ -60,9 +65,17 @@ static double chord(double length, double turned)
     return 2.0 * length * fabs(sine(0.5 * turned));
 }
 
-/* Check one more sample of current, `passed` s after the last; w_e: electrical speed, rad/s. */
+/* Least change of a current that its noise does not hide, A. The root is that of a variance. */
+static double least_change(const struct plausibility *p, const struct filter *filter)
+{
+    const double noise = NOISE_SIGMAS * sqrt(2.0 * p->current_var * filter->r_scale);
+    return larger(p->least_change_a, smaller(noise, NOISE_MOST * p->rated_a));
+}
+
+/* Check one more sample of current, `passed` s after the last; w_e: electrical speed, rad/s; least_a:
+ * see least_change. */
 static void add_current(struct plausibility *p, const double *current, double passed, double w_e,
-                        int64_t now_ns)
+                        double least_a, int64_t now_ns)
 {
     const double length = sqrt(square(current[0]) + square(current[1]));
     const double *newest = p->current[(p->samples - 1) % CURRENT_HISTORY];
@@ -71,7 +84,7 @@ static void add_current(struct plausibility *p, const double *current, double pa
         p->repeats++;
         p->repeated_s += passed;
         const double turned = smaller(fabs(w_e) * p->repeated_s, HALF_TURN);
-        if (chord(length, turned) > p->least_change_a)
+        if (chord(length, turned) > least_a)
             set_implausible(p, now_ns + (p->repeats >= REPEATS ? HELD_NS : LATE_NS));
     } else {
         p->repeats = 0;
@@ -110,7 +123,7 @@ void check_samples(struct motion_monitor *m, int64_t now_ns)
     for (int64_t i = 0; i < m->receiver->tick.samples; i++) {
         const int64_t k = m->receiver->sample_drive[i];
         add_current(&m->checks[k], &m->receiver->sample_y[2 * i], time_before(m, i),
-                    electrical_speed(m, k), now_ns);
+                    electrical_speed(m, k), least_change(&m->checks[k], &m->filters[k]), now_ns);
     }
 }
 

@@ -75,6 +75,7 @@ class MotionMonitor(Addressed):
         self.receiver, self.inputs, self.bank, self.rotors = receiver, inputs, bank, rotors
         self.motions = _motions(motors, config, times.speed_step)
         self.checks = _checks(motors, current_step_a)
+        self.checks["current_var"] = bank.noise["R"][:, 0]
         self.others: Array = np.full((n, n), np.nan)
         """Rows of all drives' measured speeds, rad/s, when `Motion` of some drive last changed."""
         self.noted, self.taken = np.arange(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)

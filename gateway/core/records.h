@@ -1470,6 +1470,7 @@ struct plausibility {
     double rated_a;        /* rated current, A */
     double rated_nm;       /* rated torque, Nm */
     double least_change_a; /* A, a constant current that should change by more is a repeat */
+    double current_var;    /* variance of a current as configured, A^2; `r_scale` multiplies it */
     /* repeated currents */
     double current[CURRENT_HISTORY][2]; /* alpha, beta of the last samples, A, a ring */
     uint64_t samples;                   /* number of samples so far */

@@ -125,8 +125,9 @@ class Plausibility(NamedTuple):
 class PlausibilityLimits(NamedTuple):
     """Constants of N drives, (N,), and dt_s: the sub-step.
 
-    k_torque: Nm per A at the data sheet's flux; least_moved_a: see `LEAST_STEPS`; period_s: between
-    two current samples; motion_ns: between two `Motion`.
+    k_torque: Nm per A at the data sheet's flux; least_moved_a: see `LEAST_STEPS`; current_var: A^2,
+    of a current as configured; period_s: between two current samples; motion_ns: between two
+    `Motion`.
     """
 
     pole_pairs: Array
@@ -134,6 +135,7 @@ class PlausibilityLimits(NamedTuple):
     rated_a: Array
     rated_nm: Array
     least_moved_a: Array
+    current_var: Array
     period_s: float
     dt_s: float
     motion_ns: int
@@ -178,7 +180,7 @@ def _same(k: int, place: int, a: float, b: float, check: Plausibility) -> bool:
 
 def _add_sample(
     k: int, a: float, b: float, passed: float, w_e: float, now: int, check: Plausibility,
-    least: float,
+    least: float, least_of_block: float,
 ) -> None:  # fmt: skip
     """One more current vector of drive k, `passed` s after the one before; w_e rad/s."""
     n, size = check.samples[k], math.hypot(a, b)
@@ -195,7 +197,7 @@ def _add_sample(
     if n >= HISTORY and _same(k, oldest, a, b, check):
         check.block[k] += 1
         turned = abs(w_e) * passed * HISTORY
-        if check.block[k] >= HISTORY and 2.0 * size * abs(math.sin(0.5 * turned)) > least:
+        if check.block[k] >= HISTORY and 2.0 * size * abs(math.sin(0.5 * turned)) > least_of_block:
             _until(k, now, LATE_NS, check)
     else:
         check.block[k] = 0
@@ -457,9 +459,11 @@ def check_values(
         k = samples.drive[i]
         passed = (samples.steps[i] + samples.gap[i]) * limits.dt_s
         w_e = _electrical_speed(k, measured, chords, limits.pole_pairs)
-        _add_sample(
-            k, samples.y[i, 0], samples.y[i, 1], passed, w_e, now, check, limits.least_moved_a[k]
-        )
+        # Six standard deviations of a difference of two samples, at most 5 % of rated current.
+        noise = 6.0 * math.hypot(*[math.sqrt(limits.current_var[k] * filters.r_scale[k])] * 2)
+        of_block = limits.least_moved_a[k]
+        least = max(of_block, min(noise, 0.05 * limits.rated_a[k]))
+        _add_sample(k, samples.y[i, 0], samples.y[i, 1], passed, w_e, now, check, least, of_block)
     for r in range(count):
         k = readings.drive[r]
         _check_reading(

@@ -337,6 +337,28 @@ def test_a_current_of_which_one_half_stays_is_no_repeat():
     assert motion.checks["implausible_until_ns"].item() == 0
 
 
+@pytest.mark.parametrize(
+    ("variance", "r_scale", "equal", "implausible"),
+    [(1e-4, 1.0, 1, True), (1e-2, 1.0, 1, False), (1e-4, 100.0, 1, False), (1e-2, 1.0, 2, True),
+     (1.0, 400.0, 2, False), (1.0, 400.0, 3, True)],
+)  # fmt: skip
+def test_noise_can_make_two_samples_equal(variance, r_scale, equal, implausible):
+    """CAN FD, 20 A that move by 0.51 A from one sample to the next; the noise is 0.1 A.
+
+    The third equal sample should have moved by 1.54 A: more than 5 % of 25 A, whatever the noise.
+    """
+    motion = side()
+    motion.status["speed_rad_s"] = 51.2
+    motion.checks["least_change_a"], motion.checks["current_var"] = 0.5, variance
+    motion.bank.filters["r_scale"] = r_scale
+    turns = [*range(10), *[9] * equal, *range(10 + equal, 20)]
+    angles = [4.0 * 51.2 * 125e-6 * k for k in turns]
+    rows = [(0, (0.0, 0.0), (20.0 * math.cos(x), 20.0 * math.sin(x)), 1, 0) for x in angles]
+    motion.came.tick(samples=rows)
+    lib.check_plausibility(motion.pointer, 10 * MS)
+    assert (motion.checks["implausible_until_ns"].item() > 0) == implausible
+
+
 def test_at_high_speed_the_largest_current_of_a_tick_explains_the_torque():
     """Wherever in the tick it is, and with what motor data are off by; two equal samples repeat."""
     for ampere, excess in ((8.0, 0), (2.0, 1)):

@@ -65,8 +65,8 @@ class Plain:
         self.check = plausibility.start(n, self.doubt_ns)
         self.check_limits = plausibility.PlausibilityLimits(
             p, checks["torque_per_a"], checks["rated_a"], checks["rated_nm"],
-            checks["least_change_a"], own["period_s"], own["dt"], int(own["motion_cycle_ns"]),
-            reference.SETTLED_READINGS,
+            checks["least_change_a"], checks["current_var"], own["period_s"], own["dt"],
+            int(own["motion_cycle_ns"]), reference.SETTLED_READINGS,
         )  # fmt: skip
 
     def take(self, count, samples, now):
@@ -217,6 +217,7 @@ class Train:
         made["load_nm"][rng.random(self.n) < 0.01] = np.nan
         drives.bank.filters["x"][:, 2], drives.bank.filters["x"][:, 3] = self.w_e, self.theta
         drives.bank.filters["active"], drives.bank.filters["v_q_bias"] = 1, 0.5
+        drives.bank.filters["r_scale"] = rng.choice([1.0, 5.0, 400.0], self.n)
         drives.came.tick(motions, samples)
         return len(motions), len(samples)
 
