@@ -52,10 +52,22 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    # A search for garbage in all that the tests have loaded takes half a second: seldom.
+    # A search for garbage in all that the tests have loaded takes a second: seldom, and not in it.
     gc.set_threshold(20_000, 20, 20)
     if config.getoption("--fuzz"):
         load_fuzz(config.getoption("--fuzz"))
+
+
+def pytest_collection_finish():
+    gc.freeze()
+
+
+@pytest.fixture
+def loaded_frozen():
+    """For tests of live loops, which collect garbage first and exempt nothing at their end."""
+    gc.freeze()
+    yield
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

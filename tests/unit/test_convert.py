@@ -373,8 +373,7 @@ def inputs(tmp_path_factory):
         (folder / junk).write_bytes(gzip.compress(b"junk"))
     assert run(whole, folder / "signals.parquet") == 0
     gc.freeze()  # so that to collect what a test leaves takes no half a second
-    yield folder
-    gc.unfreeze()
+    return folder
 
 
 # python-can's and asammdf's readers leave a file open when they refuse it.
@@ -460,10 +459,10 @@ def test_a_blf_that_was_cut(tmp_path, capsys):
 
 def test_any_number_of_channels_keeps_the_order_of_its_frames(tmp_path):
     log = tmp_path / "many.log"
-    log.write_text("".join(f"({k}.000000) can{k} 123#{k % 256:02X}\n" for k in range(5000)))
+    log.write_text("".join(f"({k}.000000) can{k} 123#{k % 256:02X}\n" for k in range(1500)))
     assert cli.main(["convert", str(log), str(tmp_path / "many.asc")]) == 0
     lines = [line.split() for line in (tmp_path / "many.asc").read_text().splitlines()]
     rows = [line for line in lines if line[2:3] == ["123"]]
     assert [(float(row[0]), int(row[1]), row[-1]) for row in rows] == [
-        (float(k), k + 1, f"{k % 256:02X}") for k in range(5000)
+        (float(k), k + 1, f"{k % 256:02X}") for k in range(1500)
     ]

@@ -27,6 +27,7 @@ from sim.scenario import parse_text
 from sim.simulation import Simulation
 from tests.buses import Bus
 
+pytestmark = pytest.mark.usefixtures("loaded_frozen")
 LATE_NS = 200 * MS
 """The drives' program takes this long until it is on the bus."""
 SCENARIO = """

@@ -12,6 +12,7 @@ from gateway.io.live import Stop, run_live, stop_on_signals
 from gateway.io.realtime import Ticker
 from tests.buses import Bus, Clock
 
+pytestmark = pytest.mark.usefixtures("loaded_frozen")
 FLAGS = 0x1A0
 
 

@@ -97,6 +97,7 @@ class Storm(Bus):
         return self.status.count(kinds[self.tick % 4])
 
 
+@pytest.mark.usefixtures("loaded_frozen")
 def test_a_storm_of_everything_is_a_few_lines_a_minute(clock, written):
     minutes = 1
     storm, stop = Storm(), Stop()

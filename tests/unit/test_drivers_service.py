@@ -27,6 +27,7 @@ from gateway.io.wire import BusState
 from gateway.settings.config import parse
 from tests.programs import await_state
 
+pytestmark = pytest.mark.usefixtures("loaded_frozen")
 WATCHDOG_NS = SECOND
 ADHESION, STATUS = 0x1A0, 0x4A0
 
