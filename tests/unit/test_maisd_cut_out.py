@@ -23,7 +23,9 @@ def compared(folder, capsys, motors, **idle):
     return [(float(t), int(node), word) for t, _, _, node, _, word in rows], "".join(printed)
 
 
-@pytest.mark.parametrize(("motors", "out"), [(2, (2,)), (3, (1, 2)), (3, (1,))])
+@pytest.mark.parametrize(("motors", "out"), [
+    pytest.param(2, (2,), marks=pytest.mark.thorough), (3, (1, 2)), (3, (1,)),
+])  # fmt: skip
 def test_beside_a_cold_motor_no_driven_one_is_hot(tmp_path, capsys, motors, out):
     rows, printed = compared(tmp_path, capsys, motors, cut_out=out)
     known = {node for _, node, word in rows if word == "NoFault"}

@@ -126,6 +126,7 @@ def test_it_runs_from_an_empty_folder(installed, tmp_path):
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_uninstalling_leaves_nothing_behind(built, tmp_path):
     """Neither files nor folders; the program has run once before."""
     venv = tmp_path / "venv"

@@ -96,7 +96,8 @@ def test_sensors_that_hold_for_minutes_are_not_stuck_unlearnt(leg):
     assert not any(kinds(said, k) for k in range(ROLL))
 
 
-@pytest.mark.parametrize("learnt_s", [10.0, pytest.param(30.0, marks=pytest.mark.thorough)])
+@pytest.mark.thorough  # with what a minute taught: the joints that are well, above
+@pytest.mark.parametrize("learnt_s", [10.0, 30.0])
 def test_sensors_that_hold_for_minutes_are_not_stuck_by_what_seconds_taught(leg, learnt_s):
     cells = learn_icub(learnt_s)
     stuck = judge(leg, LEG, holding_rule(cells)).kind == FaultClass.SENSOR_STUCK
@@ -193,6 +194,7 @@ def test_ff_is_not_available_and_never_215_degrees(points, named):
 # All of them
 
 
+@pytest.mark.thorough  # recording by recording: above
 def test_in_all_the_hours_that_there_are_nothing_is_false(leg, bridges):
     """As the page says in its first lines, with the hours."""
     runs = bridges | {
