@@ -31,9 +31,9 @@ def test_full_traffic_holds_nothing_and_leaves_nothing_out():
 
 
 def test_slow_messages_keep_the_thermal_flags_good(tmp_path):
-    soaked = slow_messages(3, slow_dbc(tmp_path), span_s=160, every_s=1200)
+    soaked = slow_messages(3, slow_dbc(tmp_path), span_s=160, every_s=640)
     summary, blocks = soaked.summary(), soaked.books.blocks
-    # One object held per second would be 1200 more.
+    # One object held per second would be 640 more.
     assert summary["unaccounted"] == 0
     assert max(blocks[1:]) - min(blocks[1:]) < 200
     assert soaked.said["thermal BAD"] == 0
@@ -42,11 +42,11 @@ def test_slow_messages_keep_the_thermal_flags_good(tmp_path):
 
 
 def test_the_live_loop_on_a_socket_counts_every_frame(tmp_path):
-    result = run(4.0, tmp_path, every_s=0.5)
+    result = run(3.0, tmp_path, every_s=0.5)
     # Seconds are too short for a slope of memory, and for a loop that falls behind: in them the age
     # at the end is that of whoever the machine let wait.
     assert wrong(result | {"rss_mb_per_hour": 0.0, "age_ms_last": 0.0}) == []
-    assert result["frames_received"] > 20_000
+    assert result["frames_received"] > 15_000
 
 
 def test_the_books_see_a_leak():

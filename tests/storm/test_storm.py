@@ -26,7 +26,7 @@ from tests.storm.value_faults import ValueFaults
 SEEDS, TICKS = range(20), 100_000
 FD, FD_TICKS = (6, 7, 8), 30_000
 """Two seeds of several ticks in a call, one of single steps."""
-QUICK, QUICK_TICKS = 3, 20_000
+QUICK, QUICK_TICKS = 3, 12_000
 """So many of SEEDS, and so many ticks, are for every change; `make test-all` has the others."""
 
 

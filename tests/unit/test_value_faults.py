@@ -197,7 +197,7 @@ OTHER = {
     for name, speed in [[*product(FILTERS, SPEEDS)][k % 6]]
     for case in [Case(kind, speed, motor, name, fd)]
 }
-"""Each kind on each bus and motor once more, filters and speeds in turn."""
+"""Each kind on each bus and motor once more, filters and speeds in turn; a change has the UKF's."""
 
 
 def name_of(case):
@@ -208,7 +208,8 @@ def name_of(case):
 def marks_of(case):
     if case in QUICK:
         return ()
-    return pytest.mark.slow if case in OTHER else [pytest.mark.slow, pytest.mark.thorough]
+    other = case in OTHER and case.filter == "ukf"
+    return pytest.mark.slow if other else [pytest.mark.slow, pytest.mark.thorough]
 
 
 @pytest.mark.parametrize("case", [pytest.param(c, marks=marks_of(c), id=name_of(c)) for c in CASES])
