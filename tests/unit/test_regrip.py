@@ -7,7 +7,9 @@ from gateway.study.evaluation_runs import Plan, one_run
 FAMILY = "roller_varied"
 
 
-@pytest.mark.parametrize("seed", [5, 20, 55])
+@pytest.mark.parametrize("seed", [
+    5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (20, 55)),
+])  # fmt: skip
 def test_torque_that_a_drive_takes_back_after_a_regrip_is_no_new_loss(seed):
     (run,) = one_run(Plan((FAMILY,), ("switching",), (seed,), world="roller"), FAMILY, seed)
     assert run.flags.losses
@@ -30,7 +32,7 @@ def test_wheels_with_the_inertia_of_a_locomotive(world, family, seed, f1, adheri
 
 
 @pytest.mark.parametrize("seed", [
-    301, 305, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (329, 334, 335)),
+    301, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (305, 329, 334, 335)),
 ])  # fmt: skip
 def test_of_two_drives_the_one_that_held_is_not_accused_while_the_other_grips_again(seed):
     """Three times the load for a tenth of a second, while a large inertia gives back its speed."""

@@ -114,7 +114,7 @@ def test_a_drive_that_is_found_again_puts_nobody_in_doubt(tmp_path):
     """Its speed is a guess at first, up to 10 % off where there are few samples."""
     dbc = for_slower_bus(CLASSIC, tmp_path)
     nodes = (1, 2, 3)
-    for seed in range(1, 6):
+    for seed in range(1, 4):
         opened = {"at_s": 2.0, "for_s": 1.0, "drive": 1, "kind": "phase_open"}
         flags, _ = flags_and_speeds(scenario(seed=seed, event=[opened]), codec(nodes, dbc))
         assert (flags[100:, 1:] == Flag.GOOD).all(), seed
@@ -137,7 +137,7 @@ def test_a_sender_that_has_a_processor_now_and_then_is_no_fault(path, drives):
         waiting[:] = [frame for frame in waiting if frame.t_ns > now]
         return come
 
-    run = scenario(seed=3, drives=drives, duration_s=20.0)
+    run = scenario(seed=3, drives=drives, duration_s=12.0)
     flags, _ = flags_and_speeds(run, codec(nodes, path), late)
     assert (flags[100:] == Flag.GOOD).all()
 

@@ -15,7 +15,7 @@ from sim.scenario import builtin, builtin_names, parse
 
 NAMES = [name for name in builtin_names() if not name.startswith("calibration_")]
 THERMAL = (
-    "bearing", "cold_start", "cooling_loss", "duty_change", "hot_restart", "tunnel",
+    "bearing", "cold_start", "cooling_loss", "duty_change", "hot_restart", "overheating", "tunnel",
 )  # fmt: skip
 """Minutes of temperatures: with everything that drives send before a release only."""
 

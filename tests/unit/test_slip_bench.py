@@ -20,7 +20,7 @@ def scored(track: str, controller: str, seed: int = 0):
 
 
 @pytest.mark.parametrize(
-    "track", ["wet", "leaves", pytest.param("degraded", marks=pytest.mark.thorough)]
+    "track", ["leaves", *(pytest.param(n, marks=pytest.mark.thorough) for n in ("wet", "degraded"))]
 )
 def test_who_knows_the_coefficient_uses_it_and_nobody_else_beats_that(track):
     oracle = scored(track, "oracle")

@@ -64,7 +64,7 @@ class Both:
 def test_a_train_that_drives(n, noise):
     rng, both = np.random.default_rng(n), Both(n)
     met = set()
-    for load in driven(rng, n, 250, noise):
+    for load in driven(rng, n, 150, noise):
         both.step(load, rng, 0.97, 0.03)
         met |= {*(both.core.lost > 0.9).tolist(), both.core.record["kept"].item()}
     assert {True, False} <= met or n == 1
@@ -77,7 +77,7 @@ def test_a_train_that_drives(n, noise):
 def test_any_loads(seed):
     rng, n = np.random.default_rng(seed), 3
     both = Both(n)
-    for _ in range(200):
+    for _ in range(120):
         load = rng.choice([0.0, 1e-3, -2.0, 2.0, 0.5, -0.5, rng.uniform(-1.5, 1.5)], n)
         # Of hypotheses that are equally likely either may come first.
         load += rng.uniform(-1e-3, 1e-3, n)

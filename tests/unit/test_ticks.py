@@ -151,7 +151,9 @@ def test_storm_and_calm_are_the_same_either_way(kind, between):
     assert gateway.inbox.counts["decoded"] > 50_000
 
 
-@pytest.mark.parametrize("seed", range(5, 9))
+@pytest.mark.parametrize("seed", [
+    5, 6, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (7, 8)),
+])  # fmt: skip
 def test_other_storms_and_few_ticks_at_a_time(seed):
     same(config_of(), train(), seed, 1500, 60.0, most=7)
 
