@@ -20,6 +20,7 @@ from tests import columns
 from tests.judged_loads import detect
 from tests.reference import adhesion as reference
 from tests.same import same_numbers
+from tests.thorough import some
 
 N = 3
 MS = 1_000_000
@@ -174,9 +175,7 @@ def copied(told):
 
 
 @pytest.mark.parametrize("detector", ["vb", "switching"])
-@pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (2, 3))]
-)
+@pytest.mark.parametrize("seed", some([0, 1], [2, 3]))
 def test_a_train_that_drives(seed, detector):
     motors = [BENCH_MOTOR] * N
     rng, both, met = np.random.default_rng(seed), Both(motors, detector=detector), set()

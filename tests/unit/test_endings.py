@@ -16,6 +16,7 @@ import pytest
 from gateway.cli import main
 from gateway.io.endings import LOOK_S, LOOKS, Ended, raised
 from gateway.io.whole_file import PART, whole, write_text
+from tests.thorough import some
 from tests.unit.test_cli import SCENARIO
 
 PROGRAM = [sys.executable, "-m", "gateway"]
@@ -163,9 +164,7 @@ def test_a_signal_ends_what_computes(inputs, tmp_path, name, number):
     assert files(out) == []
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(k, marks=[pytest.mark.thorough] * (k >= 2)) for k in range(8)]
-)
+@pytest.mark.parametrize("seed", some([0, 1], range(2, 8)))
 def test_at_any_moment_a_file_is_whole_or_not_there(inputs, tmp_path, seed):
     """Also before the first line of ours runs, and after the last."""
     draw = random.Random(seed)

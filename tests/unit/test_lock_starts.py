@@ -14,6 +14,7 @@ from gateway.settings.sections import Estimator
 from tests.estimates import step
 from tests.sample_rows import Samples
 from tests.stations import Bank
+from tests.thorough import some
 from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, motor, sampled
 
 ANGLES = np.linspace(-np.pi, np.pi, 36, endpoint=False)
@@ -89,9 +90,7 @@ def followed(kind, truth, every, seed):
 
 
 @pytest.mark.parametrize("every", [16, 1])
-@pytest.mark.parametrize("seed", [
-    pytest.param(seed, marks=[pytest.mark.thorough] * (seed not in SOME)) for seed in range(STARTS)
-])  # fmt: skip
+@pytest.mark.parametrize("seed", some(SOME, sorted({*range(STARTS)} - {*SOME})))
 @pytest.mark.parametrize("name", KINDS)
 def test_forty_starts_from_every_degree(name, seed, every):
     truth = start(KINDS[name], seed, every)

@@ -4,6 +4,7 @@ import pytest
 
 from gateway.cli import main
 from tests import slow_record
+from tests.thorough import some
 
 
 def compared(folder, capsys, motors, **idle):
@@ -23,9 +24,7 @@ def compared(folder, capsys, motors, **idle):
     return [(float(t), int(node), word) for t, _, _, node, _, word in rows], "".join(printed)
 
 
-@pytest.mark.parametrize(("motors", "out"), [
-    pytest.param(2, (2,), marks=pytest.mark.thorough), (3, (1, 2)), (3, (1,)),
-])  # fmt: skip
+@pytest.mark.parametrize(("motors", "out"), some([(3, (1, 2)), (3, (1,))], [(2, (2,))]))
 def test_beside_a_cold_motor_no_driven_one_is_hot(tmp_path, capsys, motors, out):
     rows, printed = compared(tmp_path, capsys, motors, cut_out=out)
     known = {node for _, node, word in rows if word == "NoFault"}

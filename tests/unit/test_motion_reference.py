@@ -17,6 +17,7 @@ from tests.reference import plausibility
 from tests.same import near_numbers, same_numbers
 from tests.sender import MS
 from tests.stations import MotionMonitor
+from tests.thorough import some
 
 TICK = 10 * MS
 LATE_NS = (0,) * 30 + (300_000, 3_000_000)
@@ -222,10 +223,7 @@ class Train:
         return len(motions), len(samples)
 
 
-@pytest.mark.parametrize(("seed", "n"), [
-    (0, 1), (0, 2), (0, 4),
-    *(pytest.param(*one, marks=pytest.mark.thorough) for one in ((1, 1), (1, 2), (1, 4))),
-])  # fmt: skip
+@pytest.mark.parametrize(("seed", "n"), some([(0, 1), (0, 2), (0, 4)], [(1, 1), (1, 2), (1, 4)]))
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
 def test_any_course_of_a_train(seed, n):
     train = Train(seed, n, fd=seed == 1)

@@ -3,13 +3,12 @@
 import pytest
 
 from gateway.study.evaluation_runs import Plan, one_run
+from tests.thorough import some
 
 FAMILY = "roller_varied"
 
 
-@pytest.mark.parametrize("seed", [
-    5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (20, 55)),
-])  # fmt: skip
+@pytest.mark.parametrize("seed", some([5], [20, 55]))
 def test_torque_that_a_drive_takes_back_after_a_regrip_is_no_new_loss(seed):
     (run,) = one_run(Plan((FAMILY,), ("switching",), (seed,), world="roller"), FAMILY, seed)
     assert run.flags.losses
@@ -31,9 +30,7 @@ def test_wheels_with_the_inertia_of_a_locomotive(world, family, seed, f1, adheri
     assert (run.flags.missed, run.flags.dangerous) == (0, 0)
 
 
-@pytest.mark.parametrize("seed", [
-    301, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (305, 329, 334, 335)),
-])  # fmt: skip
+@pytest.mark.parametrize("seed", some([301], [305, 329, 334, 335]))
 def test_of_two_drives_the_one_that_held_is_not_accused_while_the_other_grips_again(seed):
     """Three times the load for a tenth of a second, while a large inertia gives back its speed."""
     plan = Plan(("roller_two",), ("switching",), (seed,), motor="traction_350kw", world="roller")

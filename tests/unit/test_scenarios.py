@@ -12,6 +12,7 @@ from gateway.hil.fitting import scenario_thermal
 from gateway.io.prepare import prepare
 from gateway.reports.record import Changes
 from sim.scenario import builtin, builtin_names, parse
+from tests.thorough import some
 
 NAMES = [name for name in builtin_names() if not name.startswith("calibration_")]
 THERMAL = (
@@ -68,9 +69,7 @@ def test_a_wheel_that_slides_is_not_called_good_for_200_ms(name):
 
 
 @pytest.mark.parametrize("detector", ["vb", "switching"])
-@pytest.mark.parametrize(
-    "seed", [pytest.param(s, marks=[pytest.mark.thorough] * (s > 13)) for s in range(13, 17)]
-)
+@pytest.mark.parametrize("seed", some([13], [14, 15, 16]))
 def test_a_drive_that_takes_its_torque_back_is_judged_all_the_time(detector, seed):
     """It says how much it is asked for in every tenth tick only, and the ramp goes on between."""
     event = {"at_s": 2.5, "for_s": 1.0, "drive": 1, "kind": "adhesion_loss", "depth": 1.0}
@@ -90,9 +89,7 @@ def test_a_drive_that_takes_its_torque_back_is_judged_all_the_time(detector, see
 
 
 @pytest.mark.parametrize("value", [-100.0, -20.0, 40.0, 100.0])
-@pytest.mark.parametrize(
-    "for_s", [pytest.param(s, marks=[pytest.mark.thorough] * (s != 0.2)) for s in (0.1, 0.2, 0.6)]
-)
+@pytest.mark.parametrize("for_s", some([0.2], [0.1, 0.6]))
 def test_a_reading_that_jumps_for_a_moment_makes_no_motor_hot(value, for_s):
     """By MAISD: neither this motor nor, from far below, the others (public report 77)."""
     event = {"at_s": 8.0, "for_s": for_s, "drive": 1, "kind": "sensor_bias", "sensor": "stator",

@@ -13,6 +13,7 @@ from sim.physics.plant import BENCH, DT, MOTORS, TRAIN, Plant, rail_array
 from sim.scenario import builtin, parse
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, codec, run, scenario, values
+from tests.thorough import some
 
 TOP_RAD_S = BENCH.U_dc / math.sqrt(3) / (BENCH.pole_pairs * BENCH.psi_pm)
 """Without load and without field weakening: 218 rad/s, where the back-EMF takes all the voltage."""
@@ -270,9 +271,7 @@ def test_lost_is_what_the_rail_cannot_give_to_the_brake(nm):
 
 
 @pytest.mark.parametrize("name", ["slide_no_limiter", "slide_slow_limiter", "slide_braked"])
-@pytest.mark.parametrize(
-    "seed", [pytest.param(k, marks=[pytest.mark.thorough] * (k > 0)) for k in range(3)]
-)
+@pytest.mark.parametrize("seed", some([0], [1, 2]))
 def test_a_wheel_of_which_nothing_is_lost_does_not_slide(name, seed):
     s = draw(name, seed)
     simulation = Simulation(s, bind(CLASSIC, (1, 2, 3)))

@@ -12,6 +12,7 @@ from gateway.hil.slip_plant import BrakingTrain, Seen, creep_of
 from gateway.hil.slip_rails import AXLES, LIBRARY, held, seeded
 from gateway.hil.slip_score import score
 from sim.physics.plant import DT
+from tests.thorough import some
 
 
 @cache
@@ -19,9 +20,7 @@ def scored(track: str, controller: str, seed: int = 0):
     return ride(LIBRARY[track], CONTROLLERS[controller](seed), controller).score
 
 
-@pytest.mark.parametrize(
-    "track", ["leaves", *(pytest.param(n, marks=pytest.mark.thorough) for n in ("wet", "degraded"))]
-)
+@pytest.mark.parametrize("track", some(["leaves"], ["wet", "degraded"]))
 def test_who_knows_the_coefficient_uses_it_and_nobody_else_beats_that(track):
     oracle = scored(track, "oracle")
     assert oracle.score >= 0.97

@@ -6,6 +6,7 @@ from _traction_core import lib
 
 from estimators.detect.switching import Switching
 from tests.reference import switching as reference
+from tests.thorough import some
 
 
 def driven(rng, n, steps, noise=0.02):
@@ -71,9 +72,7 @@ def test_a_train_that_drives(n, noise):
     assert len(met) > 3, "several numbers of hypotheses"
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3))]
-)
+@pytest.mark.parametrize("seed", some([0], [1, 2, 3]))
 def test_any_loads(seed):
     rng, n = np.random.default_rng(seed), 3
     both = Both(n)

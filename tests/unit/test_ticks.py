@@ -18,6 +18,7 @@ from tests.stepped import Stepped
 from tests.storm.bus_faults import HostileBus, plan
 from tests.storm.campaign import CALIBRATION, NODES
 from tests.storm.train import TICK, train
+from tests.thorough import some
 
 FIRST = 4
 """Tick of the first step: what is sent goes out between what the drives send slowly."""
@@ -151,9 +152,7 @@ def test_storm_and_calm_are_the_same_either_way(kind, between):
     assert gateway.inbox.counts["decoded"] > 50_000
 
 
-@pytest.mark.parametrize("seed", [
-    5, 6, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (7, 8)),
-])  # fmt: skip
+@pytest.mark.parametrize("seed", some([5, 6], [7, 8]))
 def test_other_storms_and_few_ticks_at_a_time(seed):
     same(config_of(), train(), seed, 1500, 60.0, most=7)
 
