@@ -129,7 +129,7 @@ class Run:
     def report(self, folder: FilePath) -> Path:
         """Run once more and write the report that `--results` writes; return the path of its HTML.
 
-        Raises ConfigError without matplotlib, OSError.
+        Raises OSError.
         """
         from gateway.io.whole_file import whole_folder
         from gateway.reports.reporting import Reporting, leave

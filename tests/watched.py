@@ -19,7 +19,7 @@ EMPTY = DriveRow(2)
 GATEWAY = GatewayRow(
     True, True, "bus", GatewayState.RUNNING, Reason.STALE, Reason.CONFIG, 12.0, 3.0, "Median",
     Flag.GOOD, Flag.BAD, Flag.UNKNOWN, Flag.GOOD, Flag.GOOD, 4, 5, 6, 49.0, "3ba3f4", 1500.0,
-    250.0, "Operational", None,
+    250.0, "Operational",
 )  # fmt: skip
 LINK = LinkRow("warning", 51.5, 3667.0, 26253, 2, 1, {"crc": 3, "sequence": 1})
 LATE = Lateness((0, 1, 2, 4, 8), (10, 20, 0, 5), 35, 7, 7)

@@ -38,9 +38,9 @@ _COLUMNS: Final = (
     "type id data", "id type data", "channel type id data", "channel id type data",
     "dir type id dlc data", "type id dir dlc data", "channel id type dir dlc data",
     "dir id [dlc] data", "channel dir id [dlc] data", "id dlc data dir", "id: data",
-    "channel dir skip skip id [dlc] data",
+    "channel dir brs esi id [dlc] data",
 )  # fmt: skip
-_COLUMN: Final = re.compile(r"\b(id|dlc|data|channel|dir|skip|type)\b")
+_COLUMN: Final = re.compile(r"\b(id|dlc|data|channel|dir|brs|esi|skip|type)\b")
 _TYPE: Final = r"(?<![^\s,;])(?:[SX]|STD|EXT|SFF|EFF)(?![^\s,;])"
 """A word for the number of bits of the identifier."""
 _DIRECTION: Final = r"(?<![^\s,;])[RTrt][xX]?(?![^\s,;])"

@@ -12,6 +12,7 @@ Fields:
                         CAN FD
     {channel} {dlc}
     {dir}               sent if it begins with T, as in Tx
+    {brs} {esi}         flags of CAN FD: B and E, or 1; if not set - or 0
     {data} {data:d}     bytes, hexadecimal or decimal; blanks and one of , ; : . - between them
     {skip}              one word
 
@@ -29,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND, TX
+from dbc.frame import BRS, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, nanoseconds
 from dbc.logs.times import DAY_NS, DayTimes, clock_ns, date_ns
 
@@ -43,6 +44,7 @@ _FORMS: Final = {
     "date": r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d{1,9})?(?:Z|[+-]\d\d:?\d\d)?",
     "id": r"(?:0[xX])?[0-9A-Fa-f]{1,8}[xXhH]?", "type": r"[A-Za-z0-9]{1,4}(?:-fd)?",
     "channel": r"[^\s,;]{1,21}", "dir": r"[A-Za-z]{1,4}", "dlc": r"[0-9A-Fa-f]{1,2}",
+    "brs": "[B10-]", "esi": "[E10-]",
     "data": rf"{_BYTES}*(?:(?<=(?<![0-9A-Fa-f])0)[xX](?=[0-9A-Fa-f]){_BYTES}*)*",
     "skip": r"[^\s,;]+",
 }  # fmt: skip
@@ -162,6 +164,10 @@ class Pattern(Format):
         )
         if size > CLASSIC_BYTES or kind.endswith("-fd"):
             flags |= FD
+        flags |= FD | BRS if found.get("brs", "") in ("B", "1") else 0
+        flags |= FD | ESI if found.get("esi", "") in ("E", "1") else 0
+        # candump shows the length of a CAN FD frame with two digits.
+        flags |= FD if "brs" in found and len(found.get("dlc", "")) == len("08") else 0
         channel = found.get("channel", "")
         if flags & REMOTE:
             return Head(number, flags, 0, channel, code if code > 0 else -1)

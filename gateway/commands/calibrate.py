@@ -54,13 +54,14 @@ def run(options: argparse.Namespace) -> int:
         return _adhesion(options)
     from gateway.core.thermal import NO_MODEL
     from gateway.io.extras import pictures
-    from gateway.io.whole_file import write_text
+    from gateway.io.whole_file import refuse_unwritable, write_text
     from gateway.settings.calibration import promise_lines, to_toml
     from gateway.study import calibration_fit
     from gateway.study.calibrating import Learner
 
     if options.pictures is not None:
         pictures("--pictures")
+    refuse_unwritable(options.output)
     config, codec = prepare(options.config)
     # An earlier calibration must not affect this one.
     thermal = config.thermal.model_copy(update={"calibration": None})

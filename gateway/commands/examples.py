@@ -19,15 +19,17 @@ def run(options: argparse.Namespace) -> int:
     """Write the examples. Raises ConfigError if the folder exists already, OSError."""
     from shutil import copyfile
 
-    from gateway.io.whole_file import whole
+    from gateway.io.whole_file import whole_folder
 
     if options.output.exists():
         raise ConfigError(f"{options.output}: already exists", ["name a new folder"])
     source = shipped()
-    for path in sorted(source.rglob("*")):
-        if path.is_file() and path.parent.name != "__pycache__":
-            with whole(options.output / path.relative_to(source)) as part:
-                copyfile(path, part)
+    with whole_folder(options.output) as folder:
+        for path in sorted(source.rglob("*")):
+            if path.is_file() and path.parent.name != "__pycache__":
+                target = folder / path.relative_to(source)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                copyfile(path, target)
     for path in sorted(options.output.iterdir()):
         print(f"written: {shown(path)}")
     return GOOD

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
             "; `explain` without a code prints all",
         )
         raise ConfigError(
-            "explain", [f"no code {word}{near(word, names) or cure}" for word in unknown]
+            "explain", [f"no code {word!r}{near(word, names) or cure}" for word in unknown]
         )
     print(explanations.text([one for word in options.code for one in explanations.named(word)]))
     return GOOD

@@ -23,7 +23,7 @@ from gateway.commands.common import (
 )
 from gateway.commands.progress import Progress, stepped
 from gateway.hil.fitting import fitted
-from gateway.io.whole_file import whole, whole_folder
+from gateway.io.whole_file import refuse_unwritable, whole, whole_folder
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
@@ -107,6 +107,8 @@ def run(options: argparse.Namespace) -> int:
             raise ScenarioError(name, [f"no [[expect]]: nothing would be judged; {cure}"])
     if options.mutate is not None:
         return hil_mutate.run(options, scenarios)
+    if options.junit:
+        refuse_unwritable(options.junit)
     with ExitStack() as results:
         return _judge_all(options, scenarios, results)
 
@@ -117,10 +119,6 @@ def _judge_all(
     """Run and judge the scenarios. results: holds the folder of the report until it is complete."""
     folder = None
     if options.results is not None:
-        if names_bus(options):
-            from gateway.io.extras import pictures
-
-            pictures("--results")  # of lateness
         folder = results.enter_context(whole_folder(options.results))
     folders = _folders(folder, options.scenario)
     runs: list[Run] = []

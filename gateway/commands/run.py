@@ -14,7 +14,6 @@ from dbc.frame import SECOND
 from gateway.commands.common import GOOD, add_bus, add_config, add_signature, positive_seconds
 from gateway.io import quick_start
 from gateway.io.console import console
-from gateway.io.extras import pictures
 from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
@@ -67,7 +66,6 @@ def _start(options: argparse.Namespace) -> tuple[Config, Transport, Ticker, Gate
     authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
     if options.results:
         # If the report cannot be written, this is reported now, not after the run.
-        pictures("--results")
         options.results.mkdir(parents=True, exist_ok=True)
     if options.realtime is not None:
         be_realtime(options.realtime)

@@ -131,3 +131,4 @@ def _some(reader: LogReader, path: Path, pattern: str) -> Iterator[Block]:
         raise BadLogError(msg)
     if left := [f"{v.name.lower()} {n}" for v, n in reader.counts.items() if n]:
         raise BadLogError(f"{path}: no frame in the log ({', '.join(left)})")
+    raise BadLogError(f"{path}: {NO_FRAME}")

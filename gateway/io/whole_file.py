@@ -25,14 +25,14 @@ def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if _is_stream(path):
-        with _named(path):
+        with _named(path, path):
             yield path
         return
     target = Path(os.path.realpath(path))
     # The suffix stays, as writers depend on it. The leading dot hides it from patterns for logs.
     part = target.with_name(f"{PART}-{os.getpid()}-{target.name}")
     try:
-        with _named(path):
+        with _named(part, path):
             yield part
         part.replace(target)
     except KeyboardInterrupt:
@@ -55,7 +55,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     part = folder / f"{PART}-{os.getpid()}"
     part.mkdir(exist_ok=True)
     try:
-        yield part
+        with _named(part, folder):
+            yield part
         for path in sorted(path for path in part.rglob("*") if not path.is_dir()):
             target = folder / path.relative_to(part)
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -68,14 +69,31 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Add the file's name to an OSError of a full disk, quota or size, which `write` omits."""
+def _named(part: Path, path: Path) -> Iterator[None]:
+    """Name the user's file or folder `path` in an OSError, not the incomplete `part` of it.
+
+    An OSError of a full disk, quota or size has no name, because `write` knows none.
+    """
     try:
         yield
     except OSError as error:
-        if error.filename is None and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        # Of a copy, `filename` is the source and `filename2` the file that cannot be written.
+        name = error.filename2 or error.filename
+        if name is None and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise OSError(error.errno, error.strerror, str(path)) from error
+        if isinstance(name, str | Path) and Path(name).is_relative_to(part) and part != path:
+            named = path / Path(name).relative_to(part)
+            raise OSError(error.errno, error.strerror, str(named)) from error
         raise
+
+
+def refuse_unwritable(path: Path) -> None:
+    """Raise an OSError if a file cannot be made at `path`: before the work, not after it."""
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not path.exists() and not os.access(folder, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -22,7 +22,7 @@ from gateway.reports.trace import Curve
 
 INCH: Final = 72.0
 _WIDTH: Final = WIDTH_IN * INCH
-_X0, _X1 = LEFT * _WIDTH, RIGHT * _WIDTH
+X0, X1 = LEFT * _WIDTH, RIGHT * _WIDTH
 _TOP, _GAP, _NAMES, _FOOT = 9.0, 10.0, 13.0, 54.0
 _CHARACTER: Final = 4.9
 """Usual width of a character of a legend, points."""
@@ -102,17 +102,22 @@ def write_panels(path: Path, panels: Sequence[Panel], end_s: float, *, true: boo
         parts += _panel(panel, top, end_s)
         top += INCH * panel.height + _GAP
     bottom = top - _GAP
-    parts += [_label(_x(t, end_s), bottom + 12, _number(t, step), "middle")
+    parts += [label(_x(t, end_s), bottom + 12, _number(t, step), "middle")
               for t, step in _ticks(0.0, end_s, 9)]  # fmt: skip
-    parts.append(_label(0.5 * (_X0 + _X1), bottom + 25, "time / s", "middle"))
-    x = _X0
+    parts.append(label(0.5 * (X0 + X1), bottom + 25, "time / s", "middle"))
+    x = X0
     for kind, words in key.items():
         parts.append(
             f'<rect class="{kind}" x="{x:.1f}" y="{bottom + 36:.1f}" width="15" height="6"/>'
         )
-        parts.append(_label(x + 19, bottom + 42, words, "name"))
+        parts.append(label(x + 19, bottom + 42, words, "name"))
         x += 19 + _CHARACTER * len(words) + 14
-    size = f"{_WIDTH:g} {bottom + _FOOT:g}"
+    write_drawing(path, parts, bottom + _FOOT)
+
+
+def write_drawing(path: Path, parts: Sequence[str], height: float) -> None:
+    """Write the parts as a file of this height in points. Raises OSError."""
+    size = f"{_WIDTH:g} {height:g}"
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}">\n<style>{_STYLE}</style>'
     write_text(path, "\n".join([head, f"<defs>{_HATCH}</defs>", *parts, "</svg>", ""]))
 
@@ -122,11 +127,11 @@ def _panel(panel: Panel, top: float, end_s: float) -> Iterator[str]:
     high = INCH * panel.height
     base = top + high
     for t, _ in _ticks(0.0, end_s, 9):
-        yield _rule("grid", _x(t, end_s), top, _x(t, end_s), base)
+        yield rule("grid", _x(t, end_s), top, _x(t, end_s), base)
     if panel.rows:
         step = high / (len(panel.rows) + 0.1)
         for row, name in enumerate(panel.rows):
-            yield _label(_X0 - 5, top + step * (row + 0.55) + 3, name, "end")
+            yield label(X0 - 5, top + step * (row + 0.55) + 3, name, "end")
         for bar in panel.bars:
             yield _bar(bar, top, step, end_s)
     elif panel.lines:
@@ -138,33 +143,33 @@ def _panel(panel: Panel, top: float, end_s: float) -> Iterator[str]:
 
         for value, step in _ticks(low, most, max(2, round(high / 18))):
             y = base - (value - low) * scale
-            yield _rule("grid", _X0, y, _X1, y)
-            yield _label(_X0 - 5, y + 3, _number(value, step), "end")
+            yield rule("grid", X0, y, X1, y)
+            yield label(X0 - 5, y + 3, _number(value, step), "end")
         for line in panel.lines:
             yield from _curve(line, place, end_s)
         if panel.level is not None:
             y = base - (panel.level - low) * scale
-            yield f'<path d="M{_X0:g} {y:.2f}H{_X1:g}" stroke="#444444" stroke-dasharray="1 2"/>'
-        yield _rule("axis", _X0, top, _X0, base)
+            yield f'<path d="M{X0:g} {y:.2f}H{X1:g}" stroke="#444444" stroke-dasharray="1 2"/>'
+        yield rule("axis", X0, top, X0, base)
     if panel.note:
-        yield _label(0.5 * (_X0 + _X1), top + 0.5 * high + 3, panel.note, "middle")
-    yield _rule("axis", _X0, base, _X1, base)
+        yield label(0.5 * (X0 + X1), top + 0.5 * high + 3, panel.note, "middle")
+    yield rule("axis", X0, base, X1, base)
     words = panel.label.split("\n") if panel.label else []
     for k, word in enumerate(words):
         x, y = 20 + 11 * (k - 0.5 * (len(words) - 1)), top + 0.5 * high
         turned = f' transform="rotate(-90 {x:.1f} {y:.1f})"'
-        yield _label(x, y, word, "middle", turned)
+        yield label(x, y, word, "middle", turned)
     yield from _names(panel, top) if panel.named else ()
 
 
 def _names(panel: Panel, top: float) -> Iterator[str]:
     """The legend above a panel, in one line, so that it hides nothing."""
-    x, y = _X0 + 2, top - 5
+    x, y = X0 + 2, top - 5
     for line in panel.lines:
         wide = 6.0 if line.band else line.width
         look = _look(line, wide) + (' stroke-opacity=".35"' if line.band else "")
         yield f'<path d="M{x:.1f} {y:.1f}h15"{look}/>'
-        yield _label(x + 19, y + 3, line.name, "name")
+        yield label(x + 19, y + 3, line.name, "name")
         x += 19 + _CHARACTER * len(line.name) + 12
 
 
@@ -215,7 +220,7 @@ def _areas(x: Array, below: Array, above: Array) -> Iterator[str]:
 
 
 def _bar(bar: Bar, top: float, step: float, end_s: float) -> str:
-    begin, end = _x(bar.begin_s, end_s), min(_x(bar.end_s, end_s), _X1)
+    begin, end = _x(bar.begin_s, end_s), min(_x(bar.end_s, end_s), X1)
     high = HEIGHTS[bar.kind] * step
     y = top + step * (bar.row + 0.55) - 0.5 * high
     size = f'width="{max(end - begin, 0.1):.2f}" height="{high:.2f}"'
@@ -249,12 +254,14 @@ def _number(value: float, step: float) -> str:
 
 def _x(t_s: Any, end_s: float) -> Any:
     """Place on the paper of a time or an array of times."""
-    return _X0 + (_X1 - _X0) / end_s * t_s
+    return X0 + (X1 - X0) / end_s * t_s
 
 
-def _rule(kind: str, x0: float, y0: float, x1: float, y1: float) -> str:
+def rule(kind: str, x0: float, y0: float, x1: float, y1: float) -> str:
+    """A straight line; kind: its class, `grid` or `axis`."""
     return f'<line class="{kind}" x1="{x0:.2f}" y1="{y0:.2f}" x2="{x1:.2f}" y2="{y1:.2f}"/>'
 
 
-def _label(x: float, y: float, words: str, kind: str, more: str = "") -> str:
+def label(x: float, y: float, words: str, kind: str, more: str = "") -> str:
+    """A text, whose characters XML must allow; kind: its class; more: attributes."""
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}"{more}>{words}</text>'

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gateway.io.timing import Stage
 from gateway.io.whole_file import write_csv
+from gateway.reports.histograms import write_histograms
 
 if TYPE_CHECKING:
     from gateway.io.live import LiveSnapshot
 
 HEADER: Final = ("stage", "from_us", "below_us", "count")
-_COLUMNS: Final = 2
-_SHOWN_NS: Final = 1024
-"""All shorter times share one bar."""
 
 
 class Timed(NamedTuple):
@@ -51,7 +49,7 @@ def tables(folder: Path, run: Timed) -> None:
         for begin, below, count in stage.octaves
     ]
     write_csv(folder / "timing.csv", [HEADER, *rows])
-    _picture(folder / "timing.svg", run.stages, run.period_ns)
+    write_histograms(folder / "timing.svg", run.stages, run.period_ns)
 
 
 def section(run: Timed) -> list[str]:
@@ -74,39 +72,3 @@ def section(run: Timed) -> list[str]:
         "the tick's last frame is handed over; and all of it, frame to flag.",
         "", f"![Histograms of every stage]({run.picture}.svg)", "",
     ]  # fmt: skip
-
-
-def _picture(path: Path, stages: Sequence[Stage], period_ns: int) -> None:
-    """Draw a histogram for each stage, with a bar for each octave, on one time axis."""
-    from matplotlib.figure import Figure
-
-    from gateway.reports.figures import BLUE, ORANGE, WIDTH_IN, save, styled
-
-    rows = -(-len(stages) // _COLUMNS)
-    most = max([below for stage in stages for _, below, _ in stage.octaves] + [period_ns])
-    with styled():
-        figure = Figure(figsize=(WIDTH_IN, 1.9 * rows), layout="constrained")
-        axes = figure.subplots(rows, _COLUMNS, sharex=True, squeeze=False)
-        axes[0, 0].set_xlim(0.9 * _SHOWN_NS / 2e6, 1.5 * most / 1e6)
-        axes[0, 0].set_xscale("log")
-        for axis, stage in zip(axes.flat, stages, strict=False):
-            bars: dict[int, int] = {}
-            for _, below, count in stage.octaves:
-                bars[max(below, _SHOWN_NS)] = bars.get(max(below, _SHOWN_NS), 0) + count
-            below_ms = [below / 1e6 for below in bars]
-            begin_ms = [0.5 * edge for edge in below_ms]
-            axis.bar(
-                begin_ms, list(bars.values()), begin_ms, align="edge", color=BLUE,
-                edgecolor="white", lw=0.5,
-            )  # fmt: skip
-            if stage.values:
-                axis.axvline(stage.p99 / 1e6, color=ORANGE, lw=1.4, label="p99")
-            axis.axvline(period_ns / 1e6, color="#444444", lw=1.0, ls="--", label="period")
-            axis.set_title(stage.name)
-            axis.set_yscale("symlog", linthresh=1.0)
-        for axis in axes[-1]:
-            axis.set_xlabel("time / ms")
-        for row in axes:
-            row[0].set_ylabel("ticks")
-        axes[0, 0].legend()
-        save(figure, path)

@@ -280,7 +280,9 @@ def load(
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
     except TomlError as error:
-        raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
+        dbc = "; this is a DBC: name a configuration, see `traction-gateway init --dbc FILE`"
+        cure = dbc if path.suffix.lower() == ".dbc" else ""
+        raise ConfigError(str(path), [f"cannot be read as TOML: {error}{cure}"]) from None
     inner = [key for key in ("base", "sealed", "source", "text", "shared_signals") if key in raw]
     if inner:
         problems = [f"{key}: unknown key; remove it or correct its name" for key in inner]

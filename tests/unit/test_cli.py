@@ -1,7 +1,9 @@
 """The command line as a user meets it: outputs, exit codes, one clear line for bad input."""
 
 import csv
+import errno
 import re
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from dbc.candump.reader import Reader
 from dbc.codec import bind
 from gateway.cli import main
+from gateway.io.whole_file import whole, whole_folder
 from gateway.settings.config import shipped_dbc
 
 SCENARIO = """
@@ -351,6 +354,37 @@ def test_a_configuration_with_too_few_drives_for_a_scenario_is_refused(folder, r
     one.write_text("[[drive]]\nnode = 9\n")
     said = refused("hil", folder / "s.toml", "--config", one)
     assert "the scenario has 3 drives, [[drive]] names 1: add the others" in said
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(
+    folder, refused, tmp_path, capsys
+):
+    for words in (["hil", folder / "s.toml", "--junit"], ["calibrate", folder / "s.log", "-o"]):
+        assert f"{tmp_path}: is a folder; name a file" in refused(*words, tmp_path)
+        assert not capsys.readouterr().out
+
+
+def test_an_error_names_the_users_file_and_not_the_incomplete_one(tmp_path):
+    for make, name in ((whole, "a.log"), (whole_folder, "results/a.log")):
+        path = tmp_path / Path(name).parts[0]
+
+        def write(make=make, path=path):
+            with make(path) as part:
+                raise OSError(
+                    errno.EROFS, "Read-only", str(part if make is whole else part / "a.log")
+                )
+
+        with pytest.raises(OSError, match="Read-only") as raised:
+            write()
+        assert raised.value.filename == str(tmp_path / name)
+
+
+def test_a_dbc_in_place_of_a_configuration_and_a_log_without_frames_are_named(refused, tmp_path):
+    dbc, log = tmp_path / "a.dbc", tmp_path / "none.log"
+    dbc.write_text('VERSION "1.0"\n')
+    log.write_text("")
+    assert "this is a DBC: name a configuration" in refused("check", dbc)
+    assert f"{log}: no frame in the log" in refused("replay", log)
 
 
 def test_an_option_given_twice_is_refused(folder, capsys):

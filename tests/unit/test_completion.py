@@ -99,7 +99,7 @@ def test_by_number_or_name(capsys, word):
 
 def test_what_there_is_not_is_refused(capsys):
     assert "did you mean 'TooFewDrives'?" in said(capsys, "explain", "TooFewDrive", code=2).err
-    assert "no code 99" in said(capsys, "explain", "8", "99", code=2).err
+    assert "no code '99'" in said(capsys, "explain", "8", "99", code=2).err
 
 
 def test_the_page_is_what_is_printed():

@@ -1,6 +1,8 @@
 """Ticker, histogram and latency by stage, on a clock that only the test moves."""
 
 import csv
+import sys
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -177,3 +179,18 @@ def test_the_report_says_what_the_histograms_hold(tmp_path, decided):
     if decided:
         assert "| frame to flag | 2 | 1.573 | 2.500 | 2.500 | 2.500 | 25.0 % |" in text
     assert "data:image/svg+xml" in (tmp_path / "report.html").read_text()
+    drawn = ET.parse(tmp_path / "timing.svg").getroot()
+    bars = [part for part in drawn.iter() if part.tag.endswith("rect") and part.get("fill")]
+    octaves = [max(below, 1024) for stage in timing.stage_rows() for _, below, _ in stage.octaves]
+    assert len(bars) <= len(octaves)
+    assert bool(bars) == bool(decided)
+    titles = "".join(drawn.itertext())
+    assert all(f"{name}: {len(decided)} ticks" in titles for name in counted)
+
+
+def test_the_picture_of_the_timing_needs_no_library_for_pictures(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    timing = Timing(Histogram())
+    timing.lateness.count(100_000)
+    leave(tmp_path, Timed(timing.stage_rows(), 10 * MS, 1, 0), "Timing of a test")
+    assert "lateness: 1 ticks" in (tmp_path / "timing.svg").read_text()

@@ -64,7 +64,9 @@ def test_verbs_and_options(words, meant, capsys):
 
 
 def test_codes_and_motors_of_the_benchmark(refused):
-    assert "no code ToFewDrives; did you mean 'TooFewDrives'?" in refused("explain", "ToFewDrives")
+    assert "no code 'ToFewDrives'; did you mean 'TooFewDrives'?" in refused(
+        "explain", "ToFewDrives"
+    )
     assert "did you mean 'bench'?" in refused("evaluate", "adhesion", "--motor", "bnech")
 
 

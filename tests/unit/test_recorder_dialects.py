@@ -10,7 +10,7 @@ import pytest
 
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
-from dbc.frame import EXTENDED, SECOND
+from dbc.frame import BRS, ESI, EXTENDED, FD, SECOND, TX
 from dbc.logs.opening import open_reader
 from dbc.logs.proposals import proposed
 from dbc.spec import DbcMismatch
@@ -189,7 +189,7 @@ def test_lines_like_candumps_with_fewer_decimals(tmp_path):
         ("820298   0x085: 7C 33\n820301   0x047: 20 00\n", "{ms} {id}: {data}"),
         # candump -x behind the time of day.
         ("16:10:30.19 can0  RX - -  181   [1]  01\n16:10:30.20 can0  TX - -  182   [0]\n",
-         "{clock} {channel} {dir} {skip} {skip} {id} [{dlc}] {data}"),
+         "{clock} {channel} {dir} {brs} {esi} {id} [{dlc}] {data}"),
         # Identifiers of decimal digits fall as often as they rise: they are no times.
         ("00000210,00 E3\n00000154,04 07\n00000258,2F 36\n00000116,00 10\n", ""),
     ],
@@ -197,6 +197,18 @@ def test_lines_like_candumps_with_fewer_decimals(tmp_path):
 def test_patterns_that_auto_proposes(text, pattern):
     found = proposed(text.splitlines())
     assert (found.pattern if found else "") == pattern
+
+
+def test_flags_of_can_fd_behind_a_time_of_day_are_read(tmp_path):
+    path, out = tmp_path / "a.log", tmp_path / "out.log"
+    path.write_text(
+        "12:00:00.1 can0 RX B E 123 [02] 01 02\n12:00:00.2 can0 TX B - 123 [12] "
+        + "00 " * 12 + "\n12:00:00.3 can0 RX - - 123 [08] " + "00 " * 8
+        + "\n12:00:00.4 can0 RX - - 123  [2] 01 02\n"
+    )  # fmt: skip
+    assert main(["convert", str(path), str(out), "--line", "auto"]) == 0
+    flags = [frame.flags for frame in open_reader(out, strict=False)]
+    assert flags == [FD | BRS | ESI, FD | BRS | TX, FD, 0]
 
 
 def test_numbers_that_may_be_decimal_are_named(tmp_path):

@@ -90,8 +90,6 @@ class GatewayRow(NamedTuple):
     lateness_p99_us: float | None = None
     heartbeat: str | None = None
     """As in `DriveRow`."""
-    authenticated: bool | None = None
-    """None: not checked."""
 
 
 class LinkRow(NamedTuple):

@@ -37,10 +37,6 @@ export class Gateway {
     values.set("load", "bus load, its word", number(row.bus_load_pct, 0), "%");
     values.set("hash", "configuration", row.config_hash);
     values.set("heartbeat", "heartbeat", row.heartbeat, "", row.heartbeat === "Silent");
-    const checked = row.authenticated;
-    values.known = true; // "not checked" says it
-    values.set("authenticated", "authenticated",
-      checked === null || !known ? "not checked" : checked ? "yes" : "NO", "", checked === false);
   }
 }
 
