@@ -34,8 +34,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     to.add_argument("-o", "--output", type=Path, metavar="FILE.toml",
                     help="the calibration to write")  # fmt: skip
     to.add_argument("--adhesion", action="store_true",
-                    help="print [adhesion] fault_free, for false_alarms_per_1000_h, instead of a "
-                    "thermal calibration")  # fmt: skip
+                    help="no thermal calibration: print the key fault_free of [adhesion], "
+                    "which its false_alarms_per_1000_h needs")  # fmt: skip
     parser.add_argument("--without-model", action="store_true",
                         help="learn only the differences between motors, for [thermal] method = "
                         "'maisd'; else logs that give no thermal model are refused")  # fmt: skip

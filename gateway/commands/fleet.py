@@ -37,7 +37,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="Dask scheduler instead, tls://HOST:PORT")  # fmt: skip
     parser.add_argument("--partition", type=_parts, default=(), metavar="KEYS",
-                        help="day,train: estimates/day=2026-11-28/train=NAME/")  # fmt: skip
+                        help="folders by these keys: day,train makes "
+                        "estimates/day=2026-11-28/train=NAME/")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
     parser.add_argument("--force", action="store_true", help="also replay logs that are done")
 

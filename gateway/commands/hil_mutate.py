@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hil` that are about mutants."""
     parser.add_argument("--mutate", type=int, metavar="N",
-                        help="alter flags in N ways, and count those noticed")  # fmt: skip
+                        help="alter flags in N ways; count how many are noticed")  # fmt: skip
     parser.add_argument("--mutate-seed", type=int, default=0, metavar="SEED",
                         help="seed of the alterations (default: 0)")  # fmt: skip
     parser.add_argument("--expect-noticed", type=percentage, metavar="PERCENT",
-                        help="exit 1 if fewer alterations are noticed")  # fmt: skip
+                        help="exit 1 if less than PERCENT of these is noticed")  # fmt: skip
 
 
 def run(options: argparse.Namespace, scenarios: list[tuple[str, Scenario]]) -> int:

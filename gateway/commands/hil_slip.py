@@ -28,9 +28,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="brake on slippery tracks (names instead of scenarios, default all) "
                         "and score the slip protection; -o DIR: a page with pictures")  # fmt: skip
     parser.add_argument("--controller", metavar="NAME", default="gateway",
-                        help="what reduces torque: gateway (default: our flags on a virtual "
-                        "bus, with -i and -c those of a device on that bus), oracle, creep, late, "
-                        "timid, none or FILE.py:FUNCTION")  # fmt: skip
+                        help="what reduces torque: gateway (default; our flags on a virtual "
+                        "bus, or with -i and -c the flags of a device on a bus), oracle, creep, "
+                        "late, timid, none or FILE.py:FUNCTION")  # fmt: skip
     parser.add_argument("--expect-score", type=percentage, metavar="PERCENT",
                         help="exit 1 if the score of a track is lower")  # fmt: skip
 

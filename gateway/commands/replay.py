@@ -71,7 +71,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--expect-known", type=known.wanted, action="append", default=[],
         metavar="[FLAG=]PERCENT",
-        help="exit 1 if a drive's flag (default FLAG: adhesion) was known for less of the time",
+        help="exit 1 if a drive's FLAG (adhesion, the default, or thermal) was known for less "
+        "than PERCENT of the time",
     )  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")

@@ -42,7 +42,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="obey only flags authenticated with this key")  # fmt: skip
     parser.add_argument(
         "--auth-after", type=int, default=0, metavar="FRESHNESS",
-        help="of the last flag of an earlier run: flags up to this value are rejected",
+        help="reject flags with a freshness up to this: that of the last flag of an earlier run",
     )  # fmt: skip
     add_bus(parser)
 
