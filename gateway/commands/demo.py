@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Run drives and gateway over a real python-can bus, in one loop and in real time."""
     from gateway.hil.demo import rehearse, run_demo
     from gateway.hil.fitting import scenario_thermal
+    from gateway.io.whole_file import refuse_unwritable
     from gateway.reports.figures import Span, loads
     from gateway.reports.intervals import Intervals
     from gateway.reports.scoring import judge, summary_table
@@ -40,6 +41,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.settings.sections import Drive
     from sim.scenario import find
 
+    refuse_unwritable(options.output)
     scenario = find(options.scenario)
     config, codec = prepare(None, thermal=scenario_thermal())
     drives = tuple(Drive(node=n) for n in scenario.nodes)

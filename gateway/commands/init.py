@@ -61,11 +61,15 @@ def _whole_number(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Write and check the configuration. Raises ConfigError, DbcMismatch, LogError, OSError."""
-    from gateway.io.whole_file import write_text
+    from gateway.io.log_file import require_file
+    from gateway.io.whole_file import refuse_unwritable, write_text
     from gateway.mapping import first_config
 
+    if options.log:
+        require_file(options.log)
     if options.output.exists():
         raise ConfigError(f"{options.output}: already exists", ["name another file with -o"])
+    refuse_unwritable(options.output)
     dbc = _asked_dbc() if options.dbc is None else options.dbc
     drives = _asked_drives() if options.drives is None else options.drives
     if not 1 <= drives <= MOST_DRIVES:
@@ -200,15 +204,23 @@ def _cycles_of_log(options: argparse.Namespace) -> dict[int, Cycle]:
 def _asked_drives() -> int:
     if not sys.stdin.isatty():
         return 1
-    answer = input("number of drives [1]: ").strip() or "1"
+    answer = _answer("number of drives [1]: ") or "1"
     return int(answer) if answer.isdecimal() else 0
 
 
 def _asked_dbc() -> Path | None:
     if not sys.stdin.isatty():
         return None
-    answer = input("DBC of the inverters [this project's message set]: ").strip()
+    answer = _answer("DBC of the inverters [this project's message set]: ")
     return Path(answer).expanduser() if answer else None
+
+
+def _answer(question: str) -> str:
+    """What the user types. Raises ConfigError at the end of the input (Ctrl-D)."""
+    try:
+        return input(question).strip()
+    except EOFError:
+        raise ConfigError("init", ["no answer; give --drives and --dbc"]) from None
 
 
 def _check(path: Path, more: Sequence[str]) -> int:

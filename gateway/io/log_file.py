@@ -79,8 +79,19 @@ class Log(NamedTuple):
 def open_log(path: Path, strict: bool, line: str = "") -> Log:
     """Open a log: by its file extension, else by its content, see `dbc.logs.opening`.
 
-    line: a pattern of its lines. Raises BadLogError if the path does not exist or is not a regular
-    file: a FIFO or a device may never end.
+    line: a pattern of its lines. Raises BadLogError if the path is not that of a regular file.
+    """
+    require_file(path)
+    if ending(path) in OTHERS:
+        quick_start.python_can()
+    reader = open_reader(path, strict=strict, line=line)
+    return Log(_some(reader, path, line), reader)
+
+
+def require_file(path: Path) -> None:
+    """Raise BadLogError if the path does not exist or is not a regular file.
+
+    A FIFO or a device may never end.
     """
     if not path.exists():
         raise BadLogError(f"{path}: no such file")
@@ -88,10 +99,6 @@ def open_log(path: Path, strict: bool, line: str = "") -> Log:
         raise BadLogError(f"{path}: a folder, not a log")
     if not path.is_file():
         raise BadLogError(f"{path}: a FIFO, device or socket, not a log; write a file first")
-    if ending(path) in OTHERS:
-        quick_start.python_can()
-    reader = open_reader(path, strict=strict, line=line)
-    return Log(_some(reader, path, line), reader)
 
 
 def _some(reader: LogReader, path: Path, pattern: str) -> Iterator[Block]:

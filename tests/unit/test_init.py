@@ -1,5 +1,6 @@
 """`init`: a first configuration from a DBC's names and units, and from a recording."""
 
+import io
 import itertools
 import tomllib
 from pathlib import Path
@@ -334,3 +335,21 @@ def test_mistakes_with_inverters_are_said_once(raw, problem):
     with pytest.raises(ConfigError) as caught:
         parse(raw)
     assert len([line for line in caught.value.problems if problem in line]) == 1
+
+
+def test_a_question_without_an_answer_and_a_log_that_is_no_file_leave_no_configuration(
+    tmp_path, monkeypatch, refused
+):
+    output = tmp_path / "train.toml"
+    no_file = f"{tmp_path}: a folder, not a log"
+    assert no_file in refused("init", "--drives", 2, "--log", tmp_path, "-o", output)
+    monkeypatch.setattr("sys.stdin", EndedTerminal())
+    assert "init: no answer; give --drives and --dbc" in refused("init", "-o", output)
+    assert not output.exists()
+
+
+class EndedTerminal(io.StringIO):
+    """A terminal at which the user has pressed Ctrl-D."""
+
+    def isatty(self):
+        return True
