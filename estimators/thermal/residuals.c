@@ -17,13 +17,16 @@
 enum { P = THERMAL_POINTS, L = THERMAL_LUMPS };
 
 static const double NO_EXTRA[L] = {0.0};
+/* s, longest time for which a motor that is driven again warms up before its model starts. It comes
+ * back colder than the others, and what is wrong in every model grows with the motor's own heat. */
+static const double WARM_UP_S = 2700.0;
 static const double SHARED = 0.8; /* share of a step that every point of a common one shows */
 
 void thermal_motor_reset(const struct thermal_config *config, struct thermal_motor *motor)
 {
     const struct thermal_motor was = *motor;
     *motor = (struct thermal_motor){
-        .unknown_s = was.unknown_s, .trusted = was.trusted, .lost = was.lost};
+        .unknown_s = was.unknown_s, .cold_s = was.cold_s, .trusted = was.trusted, .lost = was.lost};
     imm_start(&config->imm, &motor->imm);
     for (int g = 0; g < IMM_MODES; g++)
         motor->driven_mode[g] = motor->imm.mode[g];
@@ -138,6 +141,14 @@ static void start_model(const struct thermal_motor_config *known, const struct t
         widen_core(motor);
 }
 
+/* 1 if a motor is cut out, or has been driven again for a shorter time than it was cut out. */
+static int is_left_out(double dt_s, int cut_out, struct thermal_motor *motor)
+{
+    const double cold_s = cut_out ? motor->cold_s + dt_s : motor->cold_s - dt_s;
+    motor->cold_s = clamp(cold_s, 0.0, WARM_UP_S);
+    return cut_out || motor->cold_s > 0.0;
+}
+
 static void add_sample(const struct thermal_config *config,
                        const struct thermal_motor_config *known, int cut_out,
                        struct thermal_motor *motor, int k, const double *reading,
@@ -146,10 +157,11 @@ static void add_sample(const struct thermal_config *config,
     const struct thermal_parameters *p = &known->model;
     double since = config->dt_s + motor->unknown_s; /* in a gap the motor has continued to run */
     motor->unknown_s = is_known(u) ? 0.0 : since;
-    motor->lost = cut_out || (motor->started && motor->unknown_s > config->gap_s);
+    const int left_out = is_left_out(config->dt_s, cut_out, motor);
+    motor->lost = left_out || (motor->started && motor->unknown_s > config->gap_s);
     for (int q = 0; q < P; q++)
         motor->block[q][k] = motor->raw[q][k] = NAN;
-    if (cut_out)
+    if (left_out)
         return;
     if (is_known(u) && !motor->started) {
         start_model(known, u, reading, motor);

@@ -585,6 +585,7 @@ struct thermal_config {
 struct thermal_motor {
     double lumps[THERMAL_LUMPS]; /* degC, temperatures by the open-loop model (enum thermal_lump) */
     double unknown_s;            /* s since its inputs were last known */
+    double cold_s;               /* s to drive until its model starts: it was cut out */
     double parked_s;             /* s since it last turned or had current */
     struct step_state step[THERMAL_POINTS];           /* step detector of each sensor */
     struct thermal_burst burst[THERMAL_POINTS];       /* end of each sensor's last block */

@@ -32,12 +32,13 @@ def start(p, speed, air, reading):
 class Motor:
     """What is remembered of a motor with parameters p (18,).
 
-    peers (3,) K: the others' residuals, which it starts with as well.
+    peers (3,) K: the others' residuals, which it starts with as well. cold_s: it warms up for as
+    long as it was cut out, three quarters of an hour at most, before it starts.
     """
 
     def __init__(self, p, centre, config):
         self.p, self.centre, self.config = p, centre, config
-        self.unknown_s = 0.0
+        self.unknown_s = self.cold_s = 0.0
         self.peers = np.full(3, np.nan)
         self.reset()
 
@@ -56,7 +57,9 @@ class Motor:
         since = c.dt_s + self.unknown_s
         known = bool(np.isfinite([square, speed, air]).all())
         self.unknown_s = 0.0 if known else since
-        self.lost = cut_out or (self.lumps is not None and self.unknown_s > c.gap_s)
+        self.cold_s = min(self.cold_s + c.dt_s, 2700.0) if cut_out else max(self.cold_s - c.dt_s, 0)
+        left_out = cut_out or self.cold_s > 0.0
+        self.lost = left_out or (self.lumps is not None and self.unknown_s > c.gap_s)
         if self.lost:
             self.reset()
         if self.lost or not known:

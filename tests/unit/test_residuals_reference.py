@@ -92,7 +92,7 @@ def test_of_a_motor_that_is_reset_nothing_is_known():
     own = monitor.motors[:1].copy()
     fresh = own.copy()
     own.view(np.uint8)[:] = 1
-    names = ("unknown_s", "trusted", "lost", "compared_k", "absent_s", "peers_k")
+    names = ("unknown_s", "cold_s", "trusted", "lost", "compared_k", "absent_s", "peers_k")
     kept = {name: own[name] for name in names}
     for name, value in kept.items():
         fresh[name] = value
