@@ -193,9 +193,14 @@ def summary(gateway: Any, seen: Any) -> None:
         f"link down {status.tx_down}; kernel drops {status.kernel_drops}; "
         f"reopened {status.reopened}; too late to be sent {status.tx_late}"
     )
-    late, latency = seen.timing.lateness, seen.timing.latency
     print(
-        f"ticks missed {seen.missed}; lateness p50 {late.quantile(0.5) / 1e6:.3f} ms, "
-        f"p99 {late.quantile(0.99) / 1e6:.3f} ms; frame to flag p50 "
-        f"{latency.quantile(0.5) / 1e6:.3f} ms, p99 {latency.quantile(0.99) / 1e6:.3f} ms"
+        f"ticks missed {seen.missed}; lateness {_quantiles(seen.timing.lateness)}; "
+        f"frame to flag {_quantiles(seen.timing.latency)}"
     )
+
+
+def _quantiles(times: Any) -> str:
+    """Of a histogram, ms; one without a value is not one of zeros."""
+    if not times.total:
+        return "not measured: no sample came"
+    return f"p50 {times.quantile(0.5) / 1e6:.3f} ms, p99 {times.quantile(0.99) / 1e6:.3f} ms"

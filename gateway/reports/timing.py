@@ -63,7 +63,8 @@ def section(run: Timed) -> list[str]:
     ]  # fmt: skip
     for s in run.stages:
         spans = " | ".join(f"{ns / 1e6:.3f}" for ns in (s.p50, s.p99, s.p999, s.largest))
-        lines.append(f"| {s.name} | {s.values} | {spans} | {100.0 * s.p99 / period_ns:.1f} % |")
+        measured = f"{spans} | {100.0 * s.p99 / period_ns:.1f} %"
+        lines.append(f"| {s.name} | {s.values} | {measured if s.values else ' | '.join('-' * 5)} |")
     return [
         *lines,
         "", "lateness: delay of a tick's start after its deadline. The other stages follow the "

@@ -178,6 +178,8 @@ def test_the_report_says_what_the_histograms_hold(tmp_path, decided):
     assert "2 ticks of 10 ms, 0 missed" in text
     if decided:
         assert "| frame to flag | 2 | 1.573 | 2.500 | 2.500 | 2.500 | 25.0 % |" in text
+    else:
+        assert "| frame to flag | 0 | - | - | - | - | - |" in text
     assert "data:image/svg+xml" in (tmp_path / "report.html").read_text()
     drawn = ET.parse(tmp_path / "timing.svg").getroot()
     bars = [part for part in drawn.iter() if part.tag.endswith("rect") and part.get("fill")]
