@@ -102,7 +102,7 @@ def require_file(path: Path) -> None:
 
 
 def _some(reader: LogReader, path: Path, pattern: str) -> Iterator[Block]:
-    """The log's blocks. Raises BadLogError if the log has lines but none of them is a frame."""
+    """The log's blocks. Raises BadLogError at its end if there was no frame."""
     found = False
     for block in reader.blocks():
         found = found or block.size > 0
@@ -138,4 +138,4 @@ def _some(reader: LogReader, path: Path, pattern: str) -> Iterator[Block]:
         raise BadLogError(msg)
     if left := [f"{v.name.lower()} {n}" for v, n in reader.counts.items() if n]:
         raise BadLogError(f"{path}: no frame in the log ({', '.join(left)})")
-    raise BadLogError(f"{path}: {NO_FRAME}")
+    raise BadLogError(f"{path}: no frame in the log")
