@@ -21,6 +21,8 @@ from gateway.core.codes import Flag
 from gateway.settings.config import Config
 
 FLAG_MESSAGES: Final = ("Gateway_Adhesion", "Gateway_Faults")
+PLACES: Final = ("first", "second", "third")
+"""Drives in the order of the configuration: a mutant is the same for any node numbers."""
 DRAWS: Final = 10_000
 """After so many draws all mutants are found."""
 
@@ -144,7 +146,7 @@ def _instead(rng: random.Random, what: str, old: Flag, new: Flag) -> Mutant:
         name = f"{kind}{_node(nodes, place)}"
         return one.having(**{name: new}) if one.values.get(name) == old else one
 
-    return Mutant(f"{kind.lower()} of drive {place + 1} {what}", _each(change))
+    return Mutant(f"{kind.lower()} of the {PLACES[place]} drive {what}", _each(change))
 
 
 def _stuck(rng: random.Random) -> Mutant:
@@ -160,7 +162,7 @@ def _stuck(rng: random.Random) -> Mutant:
 
         return step
 
-    return Mutant(f"{kind.lower()} of drive {place + 1} keeps its first known value", alter)
+    return Mutant(f"{kind.lower()} of the {PLACES[place]} drive keeps its first known value", alter)
 
 
 def _held(rng: random.Random) -> Mutant:
@@ -176,7 +178,7 @@ def _held(rng: random.Random) -> Mutant:
 
         return step
 
-    return Mutant(f"{kind.lower()} of drive {place + 1} stays bad for ever", alter)
+    return Mutant(f"{kind.lower()} of the {PLACES[place]} drive stays bad for ever", alter)
 
 
 def _swapped(rng: random.Random) -> Mutant:
@@ -189,7 +191,7 @@ def _swapped(rng: random.Random) -> Mutant:
             return one
         return one._replace(values={**one.values, a: one.values[b], b: one.values[a]})
 
-    text = f"{kind.lower()} of drives {place + 1} and {other % 3 + 1} is swapped"
+    text = f"{kind.lower()} of the {PLACES[place]} and the {PLACES[other % 3]} drive is swapped"
     return Mutant(text, _each(change))
 
 
@@ -212,7 +214,9 @@ def _flicker(rng: random.Random) -> Mutant:
         name, number = f"{kind}{_node(nodes, place)}", count(1)
         return lambda one: [one.having(**{name: Flag.BAD}) if next(number) % every == 0 else one]
 
-    return Mutant(f"{kind.lower()} of drive {place + 1} is bad once in {every} frames", alter)
+    return Mutant(
+        f"{kind.lower()} of the {PLACES[place]} drive is bad once in {every} frames", alter
+    )
 
 
 def _of_the_set(rng: random.Random) -> Mutant:

@@ -59,13 +59,13 @@ def test_a_mutant_does_what_it_says():
     one = run("wet_one")
     for mutant in mutants(200, 5):
         altered = whole(mutant, one.sent, one.nodes)
-        if mutant.text == "adhesion of drive 2 is never bad":
+        if mutant.text == "adhesion of the second drive is never bad":
             assert Flag.BAD not in values(altered, "Adhesion2")
             assert values(altered, "Adhesion1") == values(one.sent, "Adhesion1")
         elif mutant.text == "flags 80 ms late":
             shift = {b.t_ns - a.t_ns for a, b in zip(one.sent, altered, strict=True)}
             assert shift == {80_000_000}
-        elif mutant.text == "adhesion of drives 2 and 3 is swapped":
+        elif mutant.text == "adhesion of the second and the third drive is swapped":
             assert values(altered, "Adhesion3") == values(one.sent, "Adhesion2")
         elif mutant.text == "one flag frame in 10 lost":
             assert len(altered) == len(one.sent) - len(one.sent) // 10
@@ -163,7 +163,8 @@ def test_tests_for_pytest_are_run_with_each_mutant(tmp_path, capsys):
     (tmp_path / "test_own.py").write_text(TESTS)
     assert cli.main(["hil", str(tmp_path), "--mutate", "2", "--mutate-seed", "2"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "test_a_silent_drive_is_unknown adhesion of drive 1 is good where it should be unknown",
+        "test_a_silent_drive_is_unknown adhesion of the first drive is good where it should be "
+        "unknown",
         "test_a_lost_wheel_is_flagged flags 80 ms late",
         "2 of 2 mutants noticed (100 %)",
     ]
@@ -190,7 +191,7 @@ def test_the_drives_of_a_test_receive_the_altered_frames():
     scenario = builtin("wet_one")
     accused = next(
         one for one in mutants(400, 1)
-        if one.text == "adhesion of drive 1 is bad where it should be good"
+        if one.text == "adhesion of the first drive is bad where it should be good"
     )  # fmt: skip
     heard = []
     for mutant in (None, accused):
